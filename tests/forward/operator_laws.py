@@ -14,9 +14,10 @@ def check_linear_operator(
         y = _draw(rng, A.out_shape, imaginary)
         # The flattened dot product alone would not notice swapped rows and columns.
         assert A(x).shape == y.shape
-        assert A.T(y).shape == x.shape
+        assert A.adjoint(y).shape == x.shape
         size = np.linalg.norm(A(x)) * np.linalg.norm(y) + 1.0
-        np.testing.assert_allclose(np.vdot(A(x), y), np.vdot(x, A.T(y)), rtol=0, atol=1e-13 * size)
+        seen, spread = np.vdot(A(x), y), np.vdot(x, A.adjoint(y))
+        np.testing.assert_allclose(seen, spread, rtol=0, atol=1e-13 * size)
         np.testing.assert_allclose(
             A((2 + imaginary) * x - z), (2 + imaginary) * A(x) - A(z), atol=1e-12
         )

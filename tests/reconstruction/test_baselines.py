@@ -11,18 +11,29 @@ import pytest
 from numpy.typing import NDArray
 
 from lensshift.core.grid import hr_to_lr
-from lensshift.reconstruction.baselines import (
-    Baseline,
-    bicubic,
-    deconvolution,
-    drizzle_frames,
-    nearest,
-    shift_and_add,
-)
+from lensshift.core.types import Burst
+from lensshift.reconstruction.baselines import accumulate, deconvolve, interpolate
 from lensshift.reconstruction.baselines.deconvolve import frame_noise, gaussian_psf
 from lensshift.reconstruction.baselines.holes import fill_holes
+from lensshift.reconstruction.baselines.result import Baseline
+from lensshift.reconstruction.reconstruct import reconstruct
 
 Method = Callable[..., Baseline]
+
+
+def _whole(method: Method) -> Method:
+    """Let a method take lists, and None for frames of which all pixels count."""
+
+    def run(frames: NDArray, weight: NDArray | None, offset_px: object, *more, **settings):
+        share = np.ones(frames.shape) if weight is None else weight
+        return method(frames, share, np.asarray(offset_px, float), *more, **settings)
+
+    return run
+
+
+nearest = _whole(lambda *given: interpolate.resampled(*given, interpolate.nearest_taps))
+bicubic, deconvolution = _whole(interpolate.bicubic), _whole(deconvolve.deconvolution)
+shift_and_add, drizzle_frames = map(_whole, (accumulate.shift_and_add, accumulate.drizzle_frames))
 
 SHAPE, SCALE = (9, 14), 3
 OFFSET_PX = np.array([(0.3, -0.2), (-0.45, 0.1), (0.05, 0.6), (-0.7, -1.3), (0.0, 0.0)])
@@ -239,7 +250,7 @@ def test_holes_are_filled_from_around_and_known_pixels_stay() -> None:
     corner = np.zeros(image.shape)
     corner[0, 0] = 0.3
     np.testing.assert_allclose(fill_holes(image, corner, corner)[0], image[0, 0])
-    with pytest.raises(ValueError, match="at least one pixel"):
+    with pytest.raises(ValueError, match="nothing is left"):
         fill_holes(image, 0 * weight, weight)
 
 
@@ -341,34 +352,35 @@ def test_phasors_of_a_scene_are_interlaced_like_their_components(reference_dir: 
 
 
 @pytest.mark.parametrize(
-    ("run", "message"),
+    ("method", "settings", "message"),
     [
-        (lambda y: bicubic(y[0], None, OFFSET_PX, 2), "frame row col"),
-        (lambda y: bicubic(y.astype(str), None, OFFSET_PX, 2), "expected numbers"),
-        (lambda y: bicubic(y, None, OFFSET_PX[:3], 2), "offset_px"),
-        (lambda y: bicubic(y, None, np.nan * OFFSET_PX, 2), "finite"),
-        (lambda y: bicubic(y, None, OFFSET_PX, 0), "scale"),
-        (lambda y: bicubic(y, None, OFFSET_PX, 1.5), "scale"),
-        (lambda y: bicubic(y, np.ones((5, 2, 2)), OFFSET_PX, 2), "weight of shape"),
-        (lambda y: bicubic(y, np.zeros(y.shape), OFFSET_PX, 2), "nothing is left"),
-        (lambda y: bicubic(y, -np.ones(y.shape), OFFSET_PX, 2), "at least 0"),
-        (lambda y: bicubic(np.nan * y, None, OFFSET_PX, 2), "weight of 0"),
-        (lambda y: bicubic(y, None, OFFSET_PX, 2, frame=7), "frame from 0 to 4"),
-        (lambda y: bicubic(y, None, OFFSET_PX, 2, combine="sum"), "combine"),
-        (lambda y: bicubic(y, np.eye(5)[1][:, None, None] + 0 * y, OFFSET_PX, 2), "frame 0"),
-        (lambda y: shift_and_add(y, None, OFFSET_PX, 2, combine="sum"), "combine"),
-        (lambda y: shift_and_add(y, None, OFFSET_PX + 100, 2), "falls into"),
-        (lambda y: drizzle_frames(y, None, OFFSET_PX + 100, 2), "falls into"),
-        (lambda y: drizzle_frames(y, None, OFFSET_PX, 2, pixfrac=0.0), "pixfrac"),
-        (lambda y: drizzle_frames(y, None, OFFSET_PX, 2, pixfrac=1.1), "pixfrac"),
-        (lambda y: drizzle_frames(y, None, OFFSET_PX, 2, kernel="lanczos3"), "kernel"),
-        (lambda y: deconvolution(y[0], None, (0, 0), 2, psf_sigma_px=0.0), "psf_sigma_px"),
-        (lambda y: deconvolution(y[0], None, (0, 0), 2, noise_sigma=-1.0), "noise_sigma"),
-        (lambda y: deconvolution(y[0], None, (0, 0), 2, method="magic"), "method"),
-        (lambda y: deconvolution(y[0] - 1, None, (0, 0), 2, method="richardson-lucy"), "at least"),
-        (lambda y: deconvolution(1j * y[0], None, (0, 0), 2, method="richardson-lucy"), "complex"),
+        ("bicubic", {"blind": 0}, "every pixel of frame 0 has weight 0"),
+        ("nearest", {"blind": 0}, "nothing is left to use"),
+        ("deconvolution", {"blind": 0}, "nothing is left to use"),
+        ("bicubic", {"frame": 7}, "frame from 0 to 4"),
+        ("bicubic", {"combine": "sum"}, "combine"),
+        ("shift-and-add", {"combine": "sum"}, "combine"),
+        ("drizzle", {"pixfrac": 0.0}, "pixfrac"),
+        ("drizzle", {"pixfrac": 1.1}, "pixfrac"),
+        ("drizzle", {"kernel": "lanczos3"}, "kernel"),
+        ("deconvolution", {"psf_sigma_px": 0.0}, "psf_sigma_px"),
+        ("deconvolution", {"noise_sigma": -1.0}, "noise_sigma"),
+        ("deconvolution", {"algorithm": "magic"}, "algorithm"),
+        ("deconvolution", {"factor": -1, "algorithm": "richardson-lucy"}, "at least"),
+        ("deconvolution", {"factor": 1j, "algorithm": "richardson-lucy"}, "complex"),
     ],
-)  # fmt: skip
-def test_nonsense_is_refused(run: Callable[[NDArray], object], message: str) -> None:
+)
+def test_nonsense_is_refused(method: str, settings: dict[str, object], message: str) -> None:
+    settings = dict(settings)
+    frames, valid = random_frames(17) * settings.pop("factor", 1), np.ones((5, *SHAPE), bool)
+    if "blind" in settings:
+        valid[settings.pop("blind")] = False
+    burst = Burst.from_arrays(frames, offset_px=OFFSET_PX, valid=valid)
     with pytest.raises(ValueError, match=message):
-        run(random_frames(17))
+        reconstruct(burst, SCALE, method, channel="amplitude", **settings)
+
+
+@pytest.mark.parametrize("method", [shift_and_add, drizzle_frames])
+def test_frames_that_all_lie_elsewhere_are_refused(method: Method) -> None:
+    with pytest.raises(ValueError, match="falls into"):
+        method(random_frames(17), None, OFFSET_PX + 100, 2)

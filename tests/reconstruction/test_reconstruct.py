@@ -23,7 +23,7 @@ from lensshift.core.errors import DataError
 from lensshift.core.types import Burst, ShiftField, Status
 from lensshift.reconstruction.methods import Tv, find_method, method_names
 from lensshift.reconstruction.reconstruct import reconstruct
-from lensshift.reconstruction.toolbox import irwsr_toolbox
+from lensshift.reconstruction.toolbox.irwsr import irwsr_toolbox
 
 SHAPE, HR_SHAPE = (9, 13), (18, 26)
 LINEAR = ("nearest", "bicubic", "shift-and-add", "drizzle", "tikhonov")
@@ -324,7 +324,7 @@ def test_the_toolbox_sees_every_pixel_as_published() -> None:
     offset_px = 3.0 * SQUARE_PX
     frames = photograph(edge_scene, SHAPE, offset_px)
     image = _image(make_burst(frames, offset_px), "irwsr-toolbox", prior_weight=0.01)
-    published = irwsr_toolbox(frames, offset_px, 2, prior_weight=0.01).image
+    published = irwsr_toolbox(frames, offset_px, 2, prior_weight=0.01)[0].image
     np.testing.assert_allclose(image, published, atol=1e-9)
 
 

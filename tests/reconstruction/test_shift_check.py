@@ -15,7 +15,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import ShiftField
 from lensshift.reconstruction import glance, shift_check
 from lensshift.reconstruction.reconstruct import reconstruct
-from lensshift.reconstruction.shift_check import CURES, _readings, _Trial, doubtful_shifts
+from lensshift.reconstruction.shift_check import CURES, Doubt, _readings, _Trial
 from lensshift.scene import slanted_edge_card
 
 SHAPE = (24, 30)
@@ -23,6 +23,11 @@ RNG = np.random.default_rng(2)
 SCATTERED_PX = RNG.uniform(-0.7, 0.7, (7, 2))
 PAIR_PX = SQUARE_PX[[0, 3]]
 SIGMA = 0.016
+
+
+def doubtful_shifts(frames: Array, offset_px: Array, valid: Array | None = None) -> Doubt | None:
+    look = glance.glance(frames, offset_px, valid)
+    return look and shift_check.doubtful_shifts(look, 2)
 
 
 def _boxes(row: Array, col: Array) -> Array:

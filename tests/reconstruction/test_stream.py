@@ -273,9 +273,9 @@ def stream_that_expects(expected, noise):
 def test_narrow_frames_count_as_a_whole_and_others_without_their_border(shape, counted):
     one, valid = stream_that_expects(np.ones(shape), 0.02), np.ones(shape, bool)
     for size, share in ((0.0, 0.0), (0.5, 1.0)):
-        seen = one._seen(Frame(np.full(shape, 1.0 + size), None, valid, 0.0), 2)
-        assert seen.share == share
-        assert seen.squares == pytest.approx(counted * size**2)
+        share_seen, squares = one._seen(Frame(np.full(shape, 1.0 + size), None, valid, 0.0), 2)
+        assert share_seen == share
+        assert squares == pytest.approx(counted * size**2)
 
 
 @pytest.mark.parametrize(("shape", "inside"), [((3, 14), 3), ((9, 12), 6)])
@@ -290,9 +290,9 @@ def test_one_pixel_contradicts_in_all_around_but_the_border(shape, inside, slope
         y = expected.copy()
         y[1, 6] += size
         y[0, 9] -= 0.5 * least
-        seen = one._seen(Frame(y, None, valid, 0.0), 2)
-        assert seen.share == pytest.approx(contradict / ((shape[0] - 2) * (shape[1] - 2)))
-        assert seen.squares == pytest.approx(size**2)
+        share_seen, squares = one._seen(Frame(y, None, valid, 0.0), 2)
+        assert share_seen == pytest.approx(contradict / ((shape[0] - 2) * (shape[1] - 2)))
+        assert squares == pytest.approx(size**2)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from scipy import ndimage
 from lensshift import Burst, load_burst, load_image_stack, reconstruct, register, save_burst
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.io.export import export_burst
+from lensshift.reconstruction.glance import glance
 from lensshift.reconstruction.shift_check import doubtful_shifts
 from lensshift.registration.affine import affine_motion, corner_px, turning, turns_of
 
@@ -162,8 +163,9 @@ def test_frames_that_turn_as_told_are_not_doubted() -> None:
     affine = np.deg2rad(angle_deg)[:, None, None] * np.array([[0.0, -1.0], [1.0, 0.0]])
     field = Burst.from_arrays(frames, offset_px=np.zeros((6, 2)), affine=affine).shift_field
     assert field is not None
-    assert doubtful_shifts(frames, field.offset_px) is None
-    doubt = doubtful_shifts(frames, np.zeros((6, 2)))
+    valid = np.ones(frames.shape, bool)
+    assert doubtful_shifts(glance(frames, field.offset_px, valid), 2) is None
+    doubt = doubtful_shifts(glance(frames, np.zeros((6, 2)), valid), 2)
     assert doubt is not None
     assert doubt.mistake in ("frames that turn", "shifts that were not told")
 

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[Any]
 Floats = NDArray[np.float64]
+Shifts = Floats  # [frame 2], (row, col) in LR pixels
 Mask = NDArray[np.bool_]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError
 from lensshift.core.units import doubt_about_distance, doubt_about_units
 
@@ -19,7 +20,7 @@ _COMMON: dict[np.dtype[Any], type[np.generic]] = {
 }
 
 
-def as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+def as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> Array:
     """Return images [frame row col] of numbers, of this shape if one is given."""
     frames = np.asarray(values)
     if frames.dtype.kind not in "uifc":
@@ -35,13 +36,13 @@ def as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None
     return frames.astype(_COMMON.get(native, frames.dtype), copy=False)
 
 
-def unmasked(*arrays: ArrayLike | None) -> NDArray[np.bool_] | None:
+def unmasked(*arrays: ArrayLike | None) -> Mask | None:
     """Return where no array of `numpy.ma` is masked, or None if none of them is such an array."""
     masks = [~np.ma.getmaskarray(one) for one in arrays if isinstance(one, np.ma.MaskedArray)]
     return np.logical_and.reduce(masks) if masks else None
 
 
-def as_valid(valid: NDArray[Any] | None, frames: NDArray[Any]) -> NDArray[np.bool_]:
+def as_valid(valid: Array | None, frames: Array) -> Mask:
     """Return a mask of the frames' shape in which not everything is False; None: all True."""
     if valid is None:
         return np.ones(frames.shape, dtype=np.bool_)
@@ -58,7 +59,7 @@ def as_valid(valid: NDArray[Any] | None, frames: NDArray[Any]) -> NDArray[np.boo
     return mask
 
 
-def check_finite_where_valid(values: NDArray[Any], valid: NDArray[np.bool_], name: str) -> None:
+def check_finite_where_valid(values: Array, valid: Mask, name: str) -> None:
     """Refuse NaN and infinity in pixels that are to be used, and sizes that have no square."""
     if values.dtype.kind in "ui":
         return
@@ -76,10 +77,7 @@ def check_finite_where_valid(values: NDArray[Any], valid: NDArray[np.bool_], nam
 
 
 def doubts_about_distances(
-    amplitude: NDArray[Any],
-    distance_m: NDArray[Any] | None,
-    valid: NDArray[np.bool_],
-    frequencies_hz: tuple[float, ...],
+    amplitude: Array, distance_m: Array | None, valid: Mask, frequencies_hz: tuple[float, ...]
 ) -> list[str]:
     """Say what can hardly be meant by frequencies and distances; some of it may be ""."""
     typical_m = None if distance_m is None else float(np.median(distance_m[valid]))
@@ -99,7 +97,7 @@ def doubts_about_distances(
     return doubts
 
 
-def as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+def as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     """Return finite numbers of this shape."""
     try:
         numbers = np.asarray(values, dtype=np.float64)
@@ -112,7 +110,7 @@ def as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[
     return numbers
 
 
-def as_pairs(values: ArrayLike, count: int, name: str) -> NDArray[np.float64]:
+def as_pairs(values: ArrayLike, count: int, name: str) -> Floats:
     """Return one (row, col) pair for each frame."""
     try:
         pairs = as_numbers(values, (count, 2), name)
@@ -143,9 +141,7 @@ def as_frequencies(given: Any) -> float | tuple[float, ...] | None:
 
 
 def as_phasors(
-    given: Any,
-    modulation_hz: float | tuple[float, ...] | None,
-    valid: NDArray[np.bool_] | None = None,
+    given: Any, modulation_hz: float | tuple[float, ...] | None, valid: Mask | None = None
 ) -> NDArray[np.complex128]:
     """Return phasors [frequency frame row col], as many as frequencies, finite where valid."""
     phasors = np.asarray(given)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Floats, frozen
+from lensshift.core.arrays import Array, Floats, frozen
 from lensshift.core.motion import ShiftField, StageMap
 from lensshift.core.types import Burst
 
@@ -95,7 +95,7 @@ class Calibration:
         """[2] standard errors of the cross-talk, None if those of the map are not known."""
         return self._spread(lambda one: one.cross_talk)
 
-    def _spread(self, value: Callable[[Calibration], NDArray[Any]]) -> Floats | None:
+    def _spread(self, value: Callable[[Calibration], Array]) -> Floats | None:
         """Propagate the errors of the map: sqrt(sum over i, j of (d value / d M_ij sigma_ij)^2)."""
         if self.px_per_mm_sigma is None:
             return None

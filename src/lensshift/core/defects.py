@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
+
+from lensshift.core.arrays import Array, Mask
 
 # A pixel is stuck if it stands out of its neighbours, in all frames, by this many times what they
 # and it change by: a point of light that moves by a quarter pixel behind a lens of 0.2 px lends a
@@ -27,9 +26,7 @@ LEAST_BLOCKS = 16  # of 2 x 2 pixels; fewer say nothing of how they scatter
 LEAST_FRAMES = 3
 
 
-def stuck_pixels(
-    frames: NDArray[Any], valid: NDArray[np.bool_] | None = None
-) -> NDArray[np.bool_] | None:
+def stuck_pixels(frames: Array, valid: Mask | None = None) -> Mask | None:
     """Return the pixels [row col] that do not follow a scene that moves, None if there are none.
 
         min_k y - max_k of 8 neighbours > 10 max over the 9 of (max_k y - min_k y),   or below them
@@ -57,7 +54,7 @@ def stuck_pixels(
 
 
 def doubts_about_frames(
-    frames: NDArray[Any], valid: NDArray[np.bool_] | None = None, *, photometric: bool
+    frames: Array, valid: Mask | None = None, *, photometric: bool
 ) -> list[str]:
     """Say what frames of one still scene by one camera can hardly be like.
 
@@ -71,7 +68,7 @@ def doubts_about_frames(
     return [text for text in said if text]
 
 
-def unequal_brightness(frames: NDArray[Any], valid: NDArray[np.bool_] | None = None) -> str:
+def unequal_brightness(frames: Array, valid: Mask | None = None) -> str:
     """Say that the brightness of frames of one still scene differs, as by exposure; or "".
 
     Parameters
@@ -100,7 +97,7 @@ def unequal_brightness(frames: NDArray[Any], valid: NDArray[np.bool_] | None = N
     )
 
 
-def colour_mosaic(frames: NDArray[Any], valid: NDArray[np.bool_] | None = None) -> str:
+def colour_mosaic(frames: Array, valid: Mask | None = None) -> str:
     """Say that pixels lie behind a mosaic of filters, which does not move with the scene; or "".
 
     Parameters
@@ -111,7 +108,7 @@ def colour_mosaic(frames: NDArray[Any], valid: NDArray[np.bool_] | None = None) 
     if len(frames) < LEAST_FRAMES or frames.dtype.kind == "c" or min(frames.shape[1:]) < 4:
         return ""
     everywhere = np.ones(frames.shape, np.bool_) if valid is None else valid
-    used: NDArray[np.bool_] = np.all(everywhere, axis=0)
+    used: Mask = np.all(everywhere, axis=0)
     whole = (used & (_of_neighbours(used.astype(np.float64), np.minimum) > 0))[1:-1, 1:-1]
     plain = np.where(used, frames, 0.0)
     # Of what is around, weighed 1 2 1, each place has a quarter: the rest shows no ramp.
@@ -131,19 +128,19 @@ def colour_mosaic(frames: NDArray[Any], valid: NDArray[np.bool_] | None = None) 
     )
 
 
-def _one_two_one(values: NDArray[Any], axis: int) -> NDArray[Any]:
+def _one_two_one(values: Array, axis: int) -> Array:
     ends = [values.take(range(k, values.shape[axis] - 2 + k), axis) for k in range(3)]
     return np.asarray(0.25 * (ends[0] + ends[2]) + 0.5 * ends[1])
 
 
-def _blocks_of_four(values: NDArray[Any]) -> NDArray[Any]:
+def _blocks_of_four(values: Array) -> Array:
     """Return [frame place block] of the four places in blocks of 2 x 2 pixels."""
     count, rows, cols = len(values), values.shape[1] // 2, values.shape[2] // 2
     whole = values[:, : 2 * rows, : 2 * cols].reshape(count, rows, 2, cols, 2)
     return whole.transpose(0, 2, 4, 1, 3).reshape(count, 4, rows * cols)
 
 
-def _of_neighbours(values: NDArray[Any], least_or_most: np.ufunc) -> NDArray[Any]:
+def _of_neighbours(values: Array, least_or_most: np.ufunc) -> Array:
     """Return the least or the most [row col] of the eight neighbours that there are."""
     beyond = np.inf if least_or_most is np.minimum else -np.inf
     rows, cols = values.shape

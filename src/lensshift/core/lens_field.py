@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Floats, frozen
+from lensshift.core.arrays import Array, Floats, frozen
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.motion import MOST_APART_PX, SAME_PITCH, ShiftField
@@ -164,7 +164,7 @@ class LensField:
         coefficients[:rows, :cols, 0, 1] += per_state[..., 1]
         return replace(self, shift_px=coefficients)
 
-    def _places(self) -> list[NDArray[Any]]:
+    def _places(self) -> list[Array]:
         """Return the places of the rows and of the columns, in -1 .. 1."""
         return [(np.arange(count) - 0.5 * (count - 1)) / (0.5 * count) for count in self.grid.shape]
 
@@ -265,70 +265,48 @@ class LensField:
 
     def _check_lens(self, told: Any) -> None:
         """Refuse what the burst says of its lens, if it says anything else."""
-        if not isinstance(told, Mapping):
-            return
+        objections = self._objections(told) if isinstance(told, Mapping) else iter(())
+        for name, problem, cure in objections:
+            raise DataError(f"{problem}; {cure}", field=f"meta.optics{name}")
+
+    def _objections(self, told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+        """Yield what of the lens is another, why, and what helps."""
         name, element = told.get("lens"), told.get("element", self.element)
         if "focal_length_mm" in told:
-            raise DataError(
-                "the burst was taken with a plain lens that was not traced; a lens field is for "
-                "`simulate --lens` and for real lenses",
-                field="meta.optics",
-            )
+            plain = "the burst was taken with a plain lens that was not traced"
+            yield "", plain, "a lens field is for `simulate --lens` and for real lenses"
         if isinstance(name, str) and name and self.lens and name != self.lens:
-            raise DataError(
-                f"the lens field is of {self.lens!r}, the burst was taken with {name!r}; make it "
-                "from that lens",
-                field="meta.optics.lens",
-            )
+            other = f"the lens field is of {self.lens!r}, the burst was taken with {name!r}"
+            yield ".lens", other, "make it from that lens"
         if element != self.element:
             mine, theirs = (0 if one is None else int(one) + 1 for one in (self.element, element))
-            raise DataError(
-                f"in the lens field {_part(mine)} moves, in the burst {_part(theirs)}; make it "
-                f"with --element {theirs}",
-                field="meta.optics.element",
-            )
-        self._check_look(told)
-
-    def _check_look(self, told: Mapping[str, Any]) -> None:
-        """Refuse another way of moving the same element, or another light."""
+            other = f"in the lens field {_part(mine)} moves, in the burst {_part(theirs)}"
+            yield ".element", other, f"make it with --element {theirs}"
         if told.get("motion", self.motion) != self.motion:
             how = "with --tilt" if told["motion"] == "tilt" else "without --tilt"
-            raise DataError(
-                f"the lens field is of a {self.motion}, the burst of a {told['motion']}; make it "
-                f"{how}",
-                field="meta.optics.motion",
-            )
-        mine_nm, theirs_nm = (one.get("wavelength_nm") for one in (self.optics, told))
+            other = f"the lens field is of a {self.motion}, the burst of a {told['motion']}"
+            yield ".motion", other, f"make it {how}"
+        optics = self.optics
+        mine_nm, theirs_nm = (one.get("wavelength_nm") for one in (optics, told))
         if mine_nm and theirs_nm and abs(mine_nm - theirs_nm) > _SAME_LIGHT_NM:
-            raise DataError(
-                f"the lens field is of light of {mine_nm:g} nm, the burst of {theirs_nm:g} nm; "
-                f"make it with --wavelength-nm {theirs_nm:g}",
-                field="meta.optics.wavelength_nm",
-            )
-        self._check_form(told)
-
-    def _check_form(self, told: Mapping[str, Any]) -> None:
-        """Refuse a lens of the same name whose image is larger, or as sharp elsewhere."""
-        if not all(
-            isinstance(one.get(key), float) for one in (self.optics, told) for key in _MARKS
-        ):
+            other = f"the lens field is of light of {mine_nm:g} nm, the burst of {theirs_nm:g} nm"
+            yield ".wavelength_nm", other, f"make it with --wavelength-nm {theirs_nm:g}"
+        if not all(isinstance(one.get(key), float) for one in (optics, told) for key in _MARKS):
             return
+        # A lens of the same name may have a larger image, or be as sharp elsewhere.
         scale, focus = ("image_per_field_mm", "from_focus_mm")
-        most_mm = _SAME_BLUR_PX * min(self.grid.pitch_mm) * abs(self.optics["working_f_number"])
+        most_mm = _SAME_BLUR_PX * min(self.grid.pitch_mm) * abs(optics["working_f_number"])
         for key, most, what in (
-            (scale, _SAME_SCALE * abs(self.optics[scale]), "{:.5g} mm of image per tangent"),
+            (scale, _SAME_SCALE * abs(optics[scale]), "{:.5g} mm of image per tangent"),
             (focus, most_mm, "a sensor {:+.4g} mm from its image"),
         ):
-            mine, theirs = (what.format(one[key]) for one in (self.optics, told))
-            if abs(self.optics[key] - told[key]) > most:
-                raise DataError(
-                    f"the lens field is of a lens with {mine}, the burst of one with {theirs}; "
-                    "make it from the lens file that took the burst",
-                    field=f"meta.optics.{key}",
-                )
+            if abs(optics[key] - told[key]) > most:
+                ours, its = (what.format(one[key]) for one in (optics, told))
+                other = f"the lens field is of a lens with {ours}, the burst of one with {its}"
+                yield f".{key}", other, "make it from the lens file that took the burst"
 
 
-def _evaluated(coefficients: Floats, u: Sequence[NDArray[Any]], s: Floats) -> Floats:
+def _evaluated(coefficients: Floats, u: Sequence[Array], s: Floats) -> Floats:
     """Return [frame row col 2] at places u (row, col) and states s [frame 2]."""
     rows, cols, first, second = coefficients.shape[:4]
     t_a, t_b = chebvander(s[:, 0], first - 1), chebvander(s[:, 1], second - 1)

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from lensshift.core.errors import DataError, about
+from lensshift.core.errors import DataError, about, naming
 
 T = TypeVar("T")
 _MOST_INTEGER = 1 << 63
@@ -119,14 +119,8 @@ def _plain(value: Any) -> Any:
 @contextmanager
 def settings_of(source: str | Path) -> Iterator[None]:
     """Name the file in every error that does not name one, and make them all a `DataError`."""
-    try:
+    with naming(source), about(""):
         yield
-    except DataError as error:
-        if error.source:
-            raise
-        raise error.in_file(source) from error
-    except (TypeError, ValueError) as error:
-        raise DataError(str(error), source=source) from error
 
 
 def table_of(table: Mapping[str, Any], key: str, within: str = "") -> Mapping[str, Any]:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-Positions = NDArray[np.float64]
+from lensshift.core.arrays import Floats, Mask
+
+Positions = Floats
 Starts = NDArray[np.int64]
-Weights = NDArray[np.float64]
+Weights = Floats
 
 GAUSSIAN_TAIL = 2e-4  # a tap of less weight is left out
 APERTURE_TAIL = 1e-5  # the same of a square pixel behind a spot
@@ -36,8 +36,10 @@ _SKEW_TAIL = 1e-3  # of taps that change sign where they fade, and so add up to 
 _THIRD_DERIVATIVE = (61 / 15, -169 / 60, 3 / 5, -7 / 120)  # of sin f, sin 2f ..
 
 
-class Blur(Hashable, Protocol):
+class Blur:
     """A pixel response that is separable in row and col; equal ones have equal taps."""
+
+    __slots__ = ()
 
     def taps(self, position_hr_px: ArrayLike, scale: int, size: int) -> tuple[Starts, Weights]:
         """Return the taps of LR pixels centred at HR coordinates `position_hr_px`.
@@ -49,19 +51,33 @@ class Blur(Hashable, Protocol):
             are dropped and the rest scaled to sum 1; a pixel that sees nothing of the image
             takes the nearest edge pixel.
         """
-        ...
+        position = _as_positions(position_hr_px)
+        base = np.floor(position)
+        phase = position - base
+        if position.size <= _PHASES:
+            phases, which = np.unique(phase, return_inverse=True)
+            first_tap, table = self.table(phases, scale)
+            lead, table = _pack(table)  # of the few phases, not of all positions
+            which = which.reshape(position.shape)
+            lead, weight = lead[which], table[which]
+        else:
+            first_tap, table = self.table(np.linspace(0.0, 1.0, _PHASES + 1), scale)
+            node = np.minimum((phase * _PHASES).astype(np.int64), _PHASES - 1)
+            part = (phase * _PHASES - node)[..., None]
+            lead, weight = _pack((1.0 - part) * table[node] + part * table[node + 1])
+        return _crop(base.astype(np.int64) + first_tap + lead, weight, size)
 
     def table(self, phase: Positions, scale: int) -> tuple[int, Weights]:
         """Return the first tap and the weights [phase T] of pixels centred at phases in 0 .. 1."""
-        ...
+        raise NotImplementedError
 
     def widened(self, spot_px2: float) -> Blur:
         """Return the response with another variance of the optical spot, by so many px^2."""
-        ...
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
-class GaussianBlur:
+class GaussianBlur(Blur):
     """A Gaussian pixel response that has the width and the centroid that it claims.
 
         w_n ~ exp(-(n - m)^2 / (2 s^2)),   sum w_n n = v,   sum w_n (n - v)^2 = (scale sigma)^2
@@ -87,13 +103,9 @@ class GaussianBlur:
         if not (np.isfinite(self.sigma_px) and self.sigma_px >= 0):
             raise ValueError(f"expected sigma_px >= 0, got {self.sigma_px}")
 
-    def taps(self, position_hr_px: ArrayLike, scale: int, size: int) -> tuple[Starts, Weights]:
-        """Return first tap and weights [..., T] at HR coordinates (see `Blur.taps`)."""
-        return _taps(position_hr_px, size, lambda phase: self.table(phase, scale))
-
     def table(self, phase: Positions, scale: int) -> tuple[int, Weights]:
         """Return the first tap and the weights [phase T] (see `Blur.table`)."""
-        return _gaussian_table(phase, self.sigma_px * scale)
+        return _solved_table(phase.tobytes(), self.sigma_px * scale)
 
     def widened(self, spot_px2: float) -> GaussianBlur:
         """Return the response behind another spot; never narrower than 0."""
@@ -101,7 +113,7 @@ class GaussianBlur:
 
 
 @dataclass(frozen=True, slots=True)
-class ApertureBlur:
+class ApertureBlur(Blur):
     """A square pixel aperture behind optics with a Gaussian spot, on piecewise constant HR pixels.
 
         w_n = integral over HR pixel n of (box * Gaussian)(t - v) dt
@@ -129,10 +141,6 @@ class ApertureBlur:
             raise ValueError(f"expected a fill_factor in (0, 1], got {self.fill_factor}")
         if not (np.isfinite(self.optics_sigma_px) and self.optics_sigma_px >= 0):
             raise ValueError(f"expected optics_sigma_px >= 0, got {self.optics_sigma_px}")
-
-    def taps(self, position_hr_px: ArrayLike, scale: int, size: int) -> tuple[Starts, Weights]:
-        """Return first tap and weights [..., T] at HR coordinates (see `Blur.taps`)."""
-        return _taps(position_hr_px, size, lambda phase: self.table(phase, scale))
 
     def table(self, phase: Positions, scale: int) -> tuple[int, Weights]:
         """Return the first tap and the weights [phase T] (see `Blur.table`)."""
@@ -236,13 +244,13 @@ def _between(at: Weights, steps: int) -> tuple[Starts, Weights]:
     return node, np.clip(at * steps - node, 0.0, 1.0)
 
 
-def sees_image(position_hr_px: ArrayLike, size: int) -> NDArray[np.bool_]:
+def sees_image(position_hr_px: ArrayLike, size: int) -> Mask:
     """Tell which LR pixels have their centre on the area of the HR pixels 0 .. size-1.
 
     Half of the footprint of such a pixel, or more, lies on the image.
     """
     position = _as_positions(position_hr_px)
-    inside: NDArray[np.bool_] = np.abs(position - 0.5 * (size - 1)) <= 0.5 * size + 1e-6
+    inside: Mask = np.abs(position - 0.5 * (size - 1)) <= 0.5 * size + 1e-6
     return inside
 
 
@@ -251,27 +259,6 @@ def _as_positions(position_hr_px: ArrayLike) -> Positions:
     if not np.all(np.isfinite(position)):
         raise ValueError("expected finite positions, got NaN or infinity")
     return position
-
-
-def _taps(
-    position_hr_px: ArrayLike, size: int, table_of: Callable[[Positions], tuple[int, Weights]]
-) -> tuple[Starts, Weights]:
-    """Return the taps at any positions from a function that gives first tap and table at phases."""
-    position = _as_positions(position_hr_px)
-    base = np.floor(position)
-    phase = position - base
-    if position.size <= _PHASES:
-        phases, which = np.unique(phase, return_inverse=True)
-        first_tap, table = table_of(phases)
-        lead, table = _pack(table)  # of the few phases, not of all positions
-        which = which.reshape(position.shape)
-        lead, weight = lead[which], table[which]
-    else:
-        first_tap, table = table_of(np.linspace(0.0, 1.0, _PHASES + 1))
-        node = np.minimum((phase * _PHASES).astype(np.int64), _PHASES - 1)
-        part = (phase * _PHASES - node)[..., None]
-        lead, weight = _pack((1.0 - part) * table[node] + part * table[node + 1])
-    return _crop(base.astype(np.int64) + first_tap + lead, weight, size)
 
 
 def _aperture_table(
@@ -295,14 +282,10 @@ def _ramp(at: Positions, sigma: float) -> Positions:
     return ramp
 
 
-def _gaussian_table(phases: Positions, sigma: float) -> tuple[int, Weights]:
-    """Return first tap and weights [phase, T] of mean p and variance max(sigma^2, p (1 - p))."""
-    return _solved_table(phases.tobytes(), sigma)
-
-
 # The moments are solved once for the few phases of a burst, not for every burst of a stream.
 @lru_cache(maxsize=64)
 def _solved_table(phase_bytes: bytes, sigma: float) -> tuple[int, Weights]:
+    """Return first tap and weights [phase, T] of mean p and variance max(sigma^2, p (1 - p))."""
     phases = np.frombuffer(phase_bytes, dtype=np.float64)
     reach = _gaussian_reach(sigma)
     t = np.arange(-int(reach), int(reach) + 2, dtype=np.float64)

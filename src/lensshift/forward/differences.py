@@ -16,7 +16,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
+
 Directions = NDArray[np.int64]
 Part = tuple[slice, ...]
 

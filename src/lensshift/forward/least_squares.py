@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.forward.differences import (
     Directions,
     add_laplacian_diagonal,
@@ -16,8 +16,6 @@ from lensshift.forward.differences import (
     laplacian,
 )
 from lensshift.forward.operator import LinearOperator
-
-Array = NDArray[Any]
 
 NEIGHBOURS = half_plane(1)
 

@@ -7,9 +7,9 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.grid import hr_to_lr
 from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image, varying_taps
 from lensshift.forward.operator import LinearOperator, by_parts
@@ -69,12 +69,12 @@ class ForwardModel:
     blur: Blur
     rows: Taps
     cols: Taps
-    offset_px: NDArray[np.float64] | None
-    gain: NDArray[np.float64]
-    bias: NDArray[np.float64]
-    inside: NDArray[np.bool_]
-    spot_px2: NDArray[np.float64] | None = None
-    skew_px3: NDArray[np.float64] | None = None
+    offset_px: Floats | None
+    gain: Floats
+    bias: Floats
+    inside: Mask
+    spot_px2: Floats | None = None
+    skew_px3: Floats | None = None
 
     @property
     def frames(self) -> int:
@@ -87,7 +87,7 @@ class ForwardModel:
         return sampling_operator(self.hr_shape, self.lr_shape, self.rows, self.cols, self.gain)
 
     @property
-    def mean_offset_px(self) -> NDArray[np.float64]:
+    def mean_offset_px(self) -> Floats:
         """One offset [frame 2] per frame; of a shift field the mean over the sensor."""
         if self.offset_px is not None:
             return self.offset_px
@@ -113,27 +113,6 @@ class ForwardModel:
         y = self.operator(x)
         y += self.bias[:, None, None].astype(y.real.dtype)
         return y
-
-    def frame(self, offset_px: ArrayLike) -> LinearOperator:
-        """Return the operator from HR image to one frame [row col] at another offset (row, col).
-
-        Same blur and scale, gain 1, no bias: what a held-out frame should look like.
-
-        Raises
-        ------
-        ValueError
-            If `offset_px` is not two finite numbers.
-        """
-        offset = np.asarray(offset_px, dtype=np.float64)
-        if offset.shape != (2,):
-            raise ValueError(f"expected one offset_px (row, col), got shape {offset.shape}")
-        stack = forward_model(self.lr_shape, self.scale, offset[None], blur=self.blur).operator
-        return LinearOperator(
-            self.hr_shape,
-            self.lr_shape,
-            lambda x: stack.forward(x)[0],
-            lambda y: stack.adjoint(y[None]),
-        )
 
     def on_grid(self, scale: int, moved_px: ArrayLike = (0.0, 0.0)) -> ForwardModel:
         """Return the model of the same frames on another HR grid, which is moved by (row, col)."""
@@ -198,13 +177,20 @@ def forward_model(
     Raises
     ------
     ValueError
-        If an argument has the wrong shape or range, or if both kinds of shift are given.
+        If a shift is not finite, or spots are not those of a shift field.
     """
-    lr_shape, scale = _check_lr_shape(lr_shape), _check_scale(scale)
     blur = GaussianBlur(0.3) if blur is None else blur
     hr_shape = (lr_shape[0] * scale, lr_shape[1] * scale)
-    offset, row_at, col_at = _look_where(lr_shape, scale, offset_px, shift_field_px)
-    count = row_at.shape[0]
+    offset: Floats | None = None
+    if shift_field_px is None:
+        offset = np.array(np.zeros((1, 2)) if offset_px is None else offset_px, dtype=np.float64)
+        row_at, col_at = frame_positions(lr_shape, offset, scale)
+    else:
+        row_at, col_at = field_positions(shift_field_px, scale)
+    gains, biases = (
+        np.full(len(row_at), usual) if given is None else np.array(given, dtype=np.float64)
+        for given, usual in ((gain, 1.0), (bias, 0.0))
+    )
     spot, skew = (_of_field(of, name, row_at)
                   for of, name in ((spot_px2, "spot_px2"), (skew_px3, "skew_px3")))  # fmt: skip
     if skew is not None and spot is None:
@@ -217,15 +203,15 @@ def forward_model(
         rows=_taps(blur, row_at, scale, hr_shape[0], spot, skew, axis=0),
         cols=_taps(blur, col_at, scale, hr_shape[1], spot, skew, axis=1),
         offset_px=offset,
-        gain=_per_frame(gain, 1.0, count, "gain"),
-        bias=_per_frame(bias, 0.0, count, "bias"),
+        gain=gains,
+        bias=biases,
         inside=_inside(row_at, col_at, hr_shape),
         spot_px2=spot,
         skew_px3=skew,
     )
 
 
-def _of_field(values: ArrayLike | None, name: str, row_at: Positions) -> NDArray[np.float64] | None:
+def _of_field(values: ArrayLike | None, name: str, row_at: Positions) -> Floats | None:
     """Return what there is of spots [frame row col 2], which only a shift field has."""
     if values is None:
         return None
@@ -240,8 +226,8 @@ def _taps(
     at: Positions,
     scale: int,
     size: int,
-    spot_px2: NDArray[np.float64] | None,
-    skew_px3: NDArray[np.float64] | None,
+    spot_px2: Floats | None,
+    skew_px3: Floats | None,
     *,
     axis: int,
 ) -> Taps:
@@ -272,11 +258,7 @@ def _read_only(taps: Taps) -> Taps:
 
 
 def sampling_operator(
-    hr_shape: tuple[int, int],
-    lr_shape: tuple[int, int],
-    rows: Taps,
-    cols: Taps,
-    gain: NDArray[np.float64],
+    hr_shape: tuple[int, int], lr_shape: tuple[int, int], rows: Taps, cols: Taps, gain: Floats
 ) -> LinearOperator:
     """Return the operator HR [row col] -> [frame row col] that takes the taps and the gain.
 
@@ -325,53 +307,6 @@ def _kernels(
     return forward_smooth, adjoint_smooth, (smooth.first, smooth.run), by_tap
 
 
-def _look_where(
-    lr_shape: tuple[int, int],
-    scale: int,
-    offset_px: ArrayLike | None,
-    shift_field_px: ArrayLike | None,
-) -> tuple[NDArray[np.float64] | None, Positions, Positions]:
-    """Return the offsets (None for a field) and the HR coordinates along row and col."""
-    offset: NDArray[np.float64] | None = None
-    if shift_field_px is None:
-        offset = np.array(np.zeros((1, 2)) if offset_px is None else offset_px, dtype=np.float64)
-        row_at, col_at = frame_positions(lr_shape, offset, scale)
-    elif offset_px is None:
-        row_at, col_at = field_positions(shift_field_px, scale)
-        if row_at.shape[1:] != lr_shape:
-            raise ValueError(f"expected a shift field of {lr_shape}, got {row_at.shape[1:]}")
-    else:
-        raise ValueError("expected offset_px or shift_field_px, got both")
-    if row_at.shape[0] == 0:
-        raise ValueError("expected the shifts of at least one frame, got none")
-    return offset, row_at, col_at
-
-
-def _inside(row_at: Positions, col_at: Positions, hr_shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _inside(row_at: Positions, col_at: Positions, hr_shape: tuple[int, int]) -> Mask:
     row, col = sees_image(row_at, hr_shape[0]), sees_image(col_at, hr_shape[1])
     return row & col if row.ndim == 3 else row[:, :, None] & col[:, None, :]
-
-
-def _check_lr_shape(lr_shape: tuple[int, int]) -> tuple[int, int]:
-    if len(lr_shape) != 2 or min(lr_shape) < 1:
-        raise ValueError(f"expected lr_shape (rows, cols) of at least 1 x 1, got {lr_shape}")
-    return int(lr_shape[0]), int(lr_shape[1])
-
-
-def _check_scale(scale: int) -> int:
-    if int(scale) != scale or not 1 <= scale <= MAX_SCALE:
-        raise ValueError(f"expected an integer scale from 1 to {MAX_SCALE}, got {scale}")
-    return int(scale)
-
-
-def _per_frame(
-    values: ArrayLike | None, default: float, count: int, name: str
-) -> NDArray[np.float64]:
-    if values is None:
-        return np.full(count, default)
-    numbers = np.array(values, dtype=np.float64)
-    if numbers.shape != (count,):
-        raise ValueError(f"expected {name} [frame] of {count} frames, got shape {numbers.shape}")
-    if not np.all(np.isfinite(numbers)):
-        raise ValueError(f"expected a finite {name}, got {numbers}")
-    return numbers

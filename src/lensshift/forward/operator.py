@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,42 +30,6 @@ class LinearOperator:
         if x.shape != self.in_shape:
             raise ValueError(f"operator expects an array of shape {self.in_shape}, got {x.shape}")
         return self.forward(x)
-
-    @property
-    def T(self) -> LinearOperator:  # noqa: N802  (what everybody calls the adjoint)
-        """The adjoint, as an operator of its own."""
-        return LinearOperator(self.out_shape, self.in_shape, self.adjoint, self.forward)
-
-
-def stack(operators: Sequence[LinearOperator]) -> LinearOperator:
-    """Return the operator whose output holds the outputs of all, one after another on axis 0."""
-    if len({(A.in_shape, A.out_shape) for A in operators}) != 1:
-        raise ValueError("expected at least one operator, all of the same shapes")
-    first = operators[0]
-
-    def adjoint(y: Array) -> Array:
-        x = operators[0].adjoint(y[0])
-        for A, part in zip(operators[1:], y[1:], strict=True):
-            x = x + A.adjoint(part)
-        return x
-
-    return LinearOperator(
-        first.in_shape,
-        (len(operators), *first.out_shape),
-        lambda x: np.stack([A.forward(x) for A in operators]),
-        adjoint,
-    )
-
-
-def diagonal(weight: Array) -> LinearOperator:
-    """Return the operator that multiplies every element by its weight, w x.
-
-    Pixels that must not be used get the weight 0.
-    """
-    weight = np.asarray(weight)
-    return LinearOperator(
-        weight.shape, weight.shape, lambda x: weight * x, lambda y: np.conj(weight) * y
-    )
 
 
 def single(values: Array) -> Array:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.units import PhaseScale, unambiguous_range_m
 from lensshift.forward.blur import Blur
 from lensshift.forward.model import forward_model
@@ -32,12 +32,12 @@ class FramePredictor:
     image: Array
     scale: int
     blur: Blur
-    offset_px: NDArray[np.float64]
-    gain: NDArray[np.float64]
-    bias: NDArray[np.float64]
-    shift_field_px: NDArray[np.float64] | None = None
-    spot_px2: NDArray[np.float64] | None = None
-    skew_px3: NDArray[np.float64] | None = None
+    offset_px: Floats
+    gain: Floats
+    bias: Floats
+    shift_field_px: Floats | None = None
+    spot_px2: Floats | None = None
+    skew_px3: Floats | None = None
 
     @property
     def lr_shape(self) -> tuple[int, int]:
@@ -46,38 +46,30 @@ class FramePredictor:
         return rows // self.scale, cols // self.scale
 
     def __call__(self, frame: int | ArrayLike) -> Array:
-        """Return the frame [row col] of that number, or with gain 1 at that offset."""
-        if np.ndim(frame) == 1:
-            return self._at(np.asarray(frame, dtype=np.float64))
-        number = int(np.asarray(frame))
-        if not 0 <= number < len(self.offset_px):
-            raise ValueError(
-                f"expected a frame from 0 to {len(self.offset_px) - 1} or an offset (row, col), "
-                f"got {frame!r}"
-            )
-        one = slice(number, number + 1)
-        field, spot, skew = (
-            None if of is None else of[one]
-            for of in (self.shift_field_px, self.spot_px2, self.skew_px3)
-        )
-        model = forward_model(
-            self.lr_shape, self.scale, self.offset_px[one] if field is None else None,
-            shift_field_px=field, spot_px2=spot, skew_px3=skew,
-            blur=self.blur, gain=self.gain[one], bias=self.bias[one],
-        )  # fmt: skip
-        return np.asarray(model.predict(self.image)[0])
+        """Return the frame [row col] of that number, or with gain 1 at that offset.
 
-    def _at(self, offset_px: NDArray[np.float64]) -> Array:
-        """Return the frame at an offset (row, col); the spot is the mean of those of all frames."""
-        if self.spot_px2 is None or offset_px.shape != (2,):
-            model = forward_model(self.lr_shape, self.scale, offset_px[None], blur=self.blur)
-            return np.asarray(model.predict(self.image)[0])
+        The spot at an offset is the mean of those of all frames.
+        """
+        per_pixel = (self.shift_field_px, self.spot_px2, self.skew_px3)
+        if np.ndim(frame) == 1:
+            offset, gain, bias = np.asarray(frame, dtype=np.float64)[None], None, None
+            spot, skew = (None if of is None else of.mean(axis=0)[None] for of in per_pixel[1:])
+            field = None
+            if spot is not None and offset.shape == (1, 2):
+                field = np.broadcast_to(offset, (1, *self.lr_shape, 2))
+        else:
+            number = int(np.asarray(frame))
+            if not 0 <= number < len(self.offset_px):
+                raise ValueError(
+                    f"expected a frame from 0 to {len(self.offset_px) - 1} or an offset (row, col),"
+                    f" got {frame!r}"
+                )
+            one = slice(number, number + 1)
+            offset, gain, bias = self.offset_px[one], self.gain[one], self.bias[one]
+            field, spot, skew = (None if of is None else of[one] for of in per_pixel)
         model = forward_model(
-            self.lr_shape, self.scale,
-            shift_field_px=np.broadcast_to(offset_px, (1, *self.lr_shape, 2)),
-            spot_px2=self.spot_px2.mean(axis=0)[None],
-            skew_px3=None if self.skew_px3 is None else self.skew_px3.mean(axis=0)[None],
-            blur=self.blur,
+            self.lr_shape, self.scale, offset if field is None else None, shift_field_px=field,
+            spot_px2=spot, skew_px3=skew, blur=self.blur, gain=gain, bias=bias,
         )  # fmt: skip
         return np.asarray(model.predict(self.image)[0])
 

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Mask
 
 Starts = NDArray[np.int64]
 
@@ -63,7 +63,7 @@ def smooth_field(
     return SmoothField(np.stack([top, left, *counts], axis=-1), run, *by_tap)
 
 
-def _taps_in_use(weight: Array, inside: NDArray[np.bool_]) -> Starts:
+def _taps_in_use(weight: Array, inside: Mask) -> Starts:
     """Return how many taps [frame row] of a row any pixel takes that is inside."""
     used = ((weight != 0) & inside[:, :, None]).any(axis=-1)
     return np.asarray(weight.shape[2] - np.argmax(used[..., ::-1], axis=-1), np.int64)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.grid import lr_to_hr
 
-Positions = NDArray[np.float64]
+Positions = Floats
 
 # Positions of a constant shift are rounded to this part of an HR pixel (1e-6), far below what any
 # registration can know: all pixels of a frame then have bit for bit the same taps, and a third
@@ -58,16 +59,7 @@ def field_positions(shift_field_px: ArrayLike, scale: int) -> tuple[Positions, P
     Returns
     -------
     row_hr_px, col_hr_px : [frame row col] each
-
-    Raises
-    ------
-    ValueError
-        If the field is not [frame row col 2] or not finite.
     """
     field = np.asarray(shift_field_px, dtype=np.float64)
-    if field.ndim != 4 or field.shape[-1] != 2:
-        raise ValueError(f"expected a shift field [frame row col 2], got shape {field.shape}")
-    if not np.all(np.isfinite(field)):
-        raise ValueError("expected a finite shift field, got NaN or infinity")
     rows, cols = np.ogrid[: field.shape[1], : field.shape[2]]
     return lr_to_hr(rows - field[..., 0], scale), lr_to_hr(cols - field[..., 1], scale)

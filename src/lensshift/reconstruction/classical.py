@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.types import Estimate
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.reconstruction.losses import (
@@ -19,7 +19,6 @@ from lensshift.reconstruction.losses import (
     Squares,
 )
 from lensshift.reconstruction.method import Method, Request, Weight
-from lensshift.reconstruction.noise import Noise, estimate_noise
 from lensshift.reconstruction.options import one_of, option, positive, weight, whole
 from lensshift.reconstruction.priors import PRIORS, BilateralTotalVariation, SparseDifferences
 from lensshift.reconstruction.problem import Problem, peak_of
@@ -31,8 +30,6 @@ from lensshift.reconstruction.solver import (
     Reweighted,
 )
 from lensshift.reconstruction.uncertainty import PropagatedStd
-
-Array = NDArray[Any]
 
 # How often picture and weight of a prior are found in turn; by then it moves by some per cent.
 WEIGHT_ROUNDS = 3
@@ -113,7 +110,7 @@ class _Sparse(_Penalised):
     ) -> tuple[Reweighted, float | None]:
         told = felt = problem.noise_sigma
         if felt is None:
-            noise = _noise(problem)
+            noise = problem.shown_noise
             # Squares feel the outliers.
             told, felt = max(noise.sigma, LEAST_SIGMA), max(noise.total, LEAST_SIGMA)
         share = prior_share(problem.blur_sigma_px * problem.scale)
@@ -189,7 +186,7 @@ class _Robust(_Penalised):
         """Find picture and weight in turn, before the run that counts."""
         noise = problem.noise_sigma
         if noise is None:
-            found = _noise(problem)
+            found = problem.shown_noise
             # Squares feel the outliers; the other losses hardly do.
             noise = found.total if isinstance(fit.loss, Squares) else found.effective
         noise = max(noise, LEAST_SIGMA)
@@ -333,7 +330,7 @@ class Irwsr(_Robust):
 
 
 @dataclass(frozen=True, slots=True)
-class IrwsrToolbox(Method):
+class IrwsrToolbox(Irwsr):
     """The published toolbox step by step, its defects included.
 
     Parameters
@@ -344,12 +341,6 @@ class IrwsrToolbox(Method):
     Source: Koehler et al. 2016, doi 10.1109/TCI.2016.2516909; toolbox of 2017.
     """
 
-    prior_weight: Weight = option(None, weight())
-    window: int = option(1, whole(1))
-    alpha: float = option(0.5, positive(1.0))
-    sparsity: float = option(0.5, positive(1.0))
-    iterations: int = option(10, whole(1))
-    inner_iterations: int = option(5, whole(1))
     name: ClassVar[str] = "irwsr-toolbox"
     summary: ClassVar[str] = "the published toolbox step by step, its defects included"
     intensity: ClassVar[Any] = staticmethod(peak_of)
@@ -359,7 +350,7 @@ class IrwsrToolbox(Method):
 
     def __call__(self, problem: Problem, request: Request) -> Estimate:
         """Return what the toolbox finds."""
-        from lensshift.reconstruction.toolbox import irwsr_toolbox
+        from lensshift.reconstruction.toolbox.irwsr import irwsr_toolbox
 
         if request.non_negative:
             raise ValueError("the published toolbox has no non-negative option; use irwsr")
@@ -371,6 +362,10 @@ class IrwsrToolbox(Method):
             raise ValueError(
                 "irwsr-toolbox takes one offset per frame, got a shift field; use irwsr"
             )
+        positive().check("psf_sigma_px", problem.blur_sigma_px)
+        if problem.y.dtype.kind == "c":
+            kind = problem.y.dtype
+            raise ValueError(f"the toolbox works on real frames only, got dtype {kind}")
         callback, settings = request.on_iteration, self.settings
         if settings["prior_weight"] == "cross-validation":
             settings["prior_weight"] = None  # its only way to find one
@@ -379,10 +374,4 @@ class IrwsrToolbox(Method):
             seed=request.seed, confidence=problem.weight,
             on_iteration=None if callback is None else lambda step, _: callback(step, np.nan),
             **settings,
-        )  # fmt: skip
-
-
-def _noise(problem: Problem) -> Noise:
-    return estimate_noise(
-        problem.model.operator, problem.y, problem.telling_weight, even=problem.even_noise
-    )
+        )[0]  # fmt: skip

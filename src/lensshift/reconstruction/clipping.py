@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
+from lensshift.core.arrays import Array, Mask
 from lensshift.core.defects import stuck_pixels
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.forward.operator import LinearOperator
-
-Array = NDArray[Any]
-Mask = NDArray[np.bool_]
 
 # An end of the range is one where the outermost value is more frequent than the next by so many
 # standard errors; of noise it is the rarest.

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from lensshift.core.arrays import Array, Mask
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.differences import image_slopes
 from lensshift.forward.operator import LinearOperator
-
-Array = NDArray[Any]
-Mask = NDArray[np.bool_]
 
 # Pixels that are judged together, along a side: so few tell apart what moved and what did not.
 WINDOW_PX = 5

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Array, Mask, Shifts
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.reconstruction.noise import usual_size
 from lensshift.reconstruction.quick_shifts import found_shifts, low_passed
-
-Array = NDArray[Any]
-Shifts = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # A part of the sensor and some of the frames tell enough, at a bounded price. Shifts in a unit that
 # is too small go far: frames that they move by more than FAR_PX are asked from where they lie, too.

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.reconstruction.noise import robust_scale
 from lensshift.reconstruction.options import check_settings, option, positive
 from lensshift.reconstruction.quantiles import weighted_mad, weighted_median
-
-Array = NDArray[Any]
 
 # Where Huber's function leaves the square; the published toolbox takes 2 as well.
 HUBER_SIGMAS = 2.0
@@ -38,8 +35,13 @@ class Belief:
     sigma: float = 0.0
 
 
-class Loss(Protocol):
+class Loss:
     """What the loop asks of a data loss: sum w rho(r)."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
     def believe(self, residual: Array, weight: Array, before: Array) -> Belief:
         """Return the quadratic that touches from above at residuals [frame row col].
@@ -49,15 +51,15 @@ class Loss(Protocol):
         weight : the caller's, 0 for pixels that must not be used
         before : the confidence of the step before
         """
-        ...
+        raise NotImplementedError
 
     def cost(self, residual: Array, weight: Array, belief: Belief) -> float:
         """Return sum w rho(r)."""
-        ...
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
-class Squares:
+class Squares(Loss):
     """rho(r) = |r|^2, as the noise wants it that has no outliers."""
 
     def believe(self, residual: Array, weight: Array, before: Array) -> Belief:
@@ -70,16 +72,13 @@ class Squares:
 
 
 @dataclass(frozen=True, slots=True)
-class Absolute:
+class Absolute(Loss):
     """rho(r) = sqrt(|r|^2 + s^2): Farsiu's L1, quadratic below s, so that its weights stay finite.
 
     s is about a step of an 8-bit converter. Source: Farsiu et al. 2004.
     """
 
     smoothing: float = option(5e-3, positive())
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     def believe(self, residual: Array, weight: Array, before: Array) -> Belief:
         """Return w / (2 rho)."""
@@ -93,7 +92,7 @@ class Absolute:
 
 
 @dataclass(frozen=True, slots=True)
-class Huber:
+class Huber(Loss):
     """rho(r) = |r|^2 up to two robust standard deviations of the residual, linear beyond."""
 
     def believe(self, residual: Array, weight: Array, before: Array) -> Belief:
@@ -110,7 +109,7 @@ class Huber:
 
 
 @dataclass(frozen=True, slots=True)
-class Confidences:
+class Confidences(Loss):
     """sum w beta |r|^2 with the confidences beta of Koehler's iteratively reweighted fit.
 
         sigma = 1.4826 MAD(r; beta before),   beta = [|median r_k| < bias] min(1, 2 sigma / |r|)
@@ -123,9 +122,6 @@ class Confidences:
     """
 
     bias_limit: float = option(0.02, positive())
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     def believe(self, residual: Array, weight: Array, before: Array) -> Belief:
         """Return w beta."""

@@ -28,6 +28,7 @@ class Request:
     seed : of everything random
     non_negative : whether negative values are forbidden
     std : whether the propagated noise is wanted
+    photometric : whether gain and bias of each frame are estimated
     on_iteration : called with the number of the iteration and the objective
     options : settings of the method that the caller gave
     frames : numbers of the frames in the burst
@@ -42,6 +43,7 @@ class Request:
     seed: int = option(0, whole(0))
     non_negative: bool = option(False, truth())
     std: bool = option(True, truth())
+    photometric: bool = option(False, truth())
     on_iteration: Callable[[int, float], None] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     frames: Sequence[int] = ()

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import find_objects, label, maximum, maximum_filter, uniform_filter
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.displacement import (
@@ -31,9 +30,6 @@ from lensshift.reconstruction.displacement import (
     some_pixels,
     usual,
 )
-
-Array = NDArray[Any]
-Mask = NDArray[np.bool_]
 
 # Neighbours of a pixel along rows and columns of its frame.
 ALONG = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
@@ -86,10 +82,10 @@ class Misfit:
     unsure : frames that were told to be noisier than others, by themselves or by their shift
     """
 
-    chi_square: NDArray[np.float64]
-    unexplained: NDArray[np.float64]
-    doubt: NDArray[np.float64]
-    against: NDArray[np.float64]
+    chi_square: Floats
+    unexplained: Floats
+    doubt: Floats
+    against: Floats
     off_px: dict[int, tuple[float, float]]
     everywhere: bool
     brightness: float
@@ -119,7 +115,7 @@ class Misfit:
         elsewhere = self.unsure.union(self.off_px if self.everywhere else ())
         return next((k for k in range(len(self.doubt)) if k not in elsewhere), 0)
 
-    def weight(self, of_phasors: bool) -> NDArray[np.float64]:
+    def weight(self, of_phasors: bool) -> Floats:
         """Return [frame row col] 0 .. 1: how much of each LR pixel to believe in another solution.
 
         Where a frame or the first one contradicts by far, only the first is believed: what moves is
@@ -182,9 +178,7 @@ class Misfit:
         )
 
 
-def find_misfit(
-    A: LinearOperator, image: Array, y: Array, sigma: NDArray[np.float64], scale: int
-) -> Misfit:
+def find_misfit(A: LinearOperator, image: Array, y: Array, sigma: Floats, scale: int) -> Misfit:
     """Compare frames with what a picture predicts.
 
         chi2 = A^T (|r|^2 / sigma^2) / A^T 1,   r = y - A x
@@ -280,9 +274,7 @@ def _limit(alone: Mask, used: Mask) -> float:
     return max(LIMIT, 1 + rate * (MOST_SQUARE - 1) + LIMIT_SIGMAS * float(spread))
 
 
-def _unexplained(
-    A: LinearOperator, chi: Array, noise: Array, seen: Array, parts: float
-) -> NDArray[np.float64]:
+def _unexplained(A: LinearOperator, chi: Array, noise: Array, seen: Array, parts: float) -> Floats:
     """Return [row col] the size of what chance does not explain of chi-square, where seen."""
     nearby, count = (uniform_filter(v, (1, 3, 3), mode="constant") for v in (chi * seen, seen))
     pooled, samples = A.adjoint(nearby), np.maximum(A.adjoint(count), 1e-9)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Mask
 from lensshift.core.gaussian import MAD_TO_SIGMA, UPPER_QUARTILE_SIZE
 from lensshift.forward.differences import differences
 from lensshift.forward.least_squares import NEIGHBOURS, smooth_fit
 from lensshift.forward.operator import LinearOperator, single
-
-Array = NDArray[Any]
 
 # The residual of soft low passes, from stiff to soft: the soft ones follow fine texture.
 STIFFNESS = (0.1, 0.01, 0.001)
@@ -23,7 +20,7 @@ CALM_SHARE = 0.3
 CALM_STIFFNESS = 3.0
 # Of each, the quietest blocks; at most about so many of them, whatever the size of the frames.
 BLOCK_PX, MOST_BLOCKS, QUIET_SHARE = 6, 1500, 0.1
-OUTLIER_SIGMAS = 4.0
+OUTLIER_SIGMAS, PASSES = 4.0, 3
 # Pixels of all frames among which an outlier has to stand out.
 NEIGHBOURHOOD_PX = 3
 
@@ -54,7 +51,7 @@ class Noise:
     sigma: float
     unexplained: float
     excess: float
-    inlier: NDArray[np.bool_]
+    inlier: Mask
 
     @property
     def effective(self) -> float:
@@ -71,16 +68,7 @@ class Noise:
         return self.excess * self.effective
 
 
-def estimate_noise(
-    A: LinearOperator,
-    y: Array,
-    weight: Array,
-    passes: int = 3,
-    seed: int = 0,
-    *,
-    even: bool = True,
-    lone_outliers: bool = False,
-) -> Noise:
+def estimate_noise(A: LinearOperator, y: Array, weight: Array, *, even: bool = True) -> Noise:
     """Estimate the noise of the frames and mark the pixels that are not outliers.
 
         sigma = min over low passes of  MAD(r(y)) / MAD(r(white noise)),   r = y - low pass
@@ -98,19 +86,16 @@ def estimate_noise(
     y, weight : [frame row col]
     even : whether all pixels have about the same noise; else the quietest say nothing of the
         others, and `sigma` is `unexplained`
-    lone_outliers : whether an outlier has to stand out among its neighbours in all frames too, in
-        the low pass that follows them best: what misses them all is the scene, unless noise or
-        outliers come in clumps
     """
-    used: NDArray[np.bool_] = weight > 0
+    used: Mask = weight > 0
     unit = float(np.abs(y).max(initial=0.0, where=used)) or 1.0
-    y, noise = single(y / unit), single(np.random.default_rng(seed).standard_normal(y.shape))
+    y, noise = single(y / unit), single(np.random.default_rng(0).standard_normal(y.shape))
     inlier, kept = used, single(used)
     references = [noise - A.forward(smooth_fit(A, noise, kept, s)) for s in STIFFNESS]
     lows: list[Array | None] = [None] * len(STIFFNESS)
     smooth = None  # each pass begins where the one before it ended
     sigma = unexplained = spread = 0.0
-    for _ in range(passes):
+    for _ in range(PASSES):
         lows = [smooth_fit(A, y, kept, s, x0=low) for s, low in zip(STIFFNESS, lows, strict=True)]
         residuals = [np.where(used, y - A.forward(low), 0.0) for low in lows if low is not None]
         smooth = smooth_fit(A, y, kept, CALM_STIFFNESS, x0=smooth)
@@ -123,11 +108,7 @@ def estimate_noise(
             quietest, of_noise = (_quietest(r, inlier) for r in pair)
             bounds.append(quietest / max(of_noise, 1e-12))
         sigma = min(bounds) if even else unexplained
-        if lone_outliers:
-            size, usual = _best_followed(residuals, references, inlier)
-            found = used & (size <= OUTLIER_SIGMAS * np.maximum(usual, max(sigma, 1e-12)))
-        else:
-            found = used & (np.abs(residuals[0]) <= OUTLIER_SIGMAS * max(unexplained, 1e-12))
+        found = used & (np.abs(residuals[0]) <= OUTLIER_SIGMAS * max(unexplained, 1e-12))
         if np.count_nonzero(found) < 0.5 * np.count_nonzero(used) or np.array_equal(found, inlier):
             break
         inlier, kept = found, single(found)
@@ -139,7 +120,7 @@ def _ratio(scale: Callable[[Array], float], residual: Array, reference: Array) -
     return scale(residual) / max(scale(reference), 1e-12)
 
 
-def _calm(A: LinearOperator, smooth: Array, inlier: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _calm(A: LinearOperator, smooth: Array, inlier: Mask) -> Mask:
     """Return the pixels [frame row col] where a smooth picture [row col] has the least gradient."""
     from scipy.ndimage import uniform_filter
 
@@ -148,7 +129,7 @@ def _calm(A: LinearOperator, smooth: Array, inlier: NDArray[np.bool_]) -> NDArra
     return np.asarray(unrest <= np.quantile(unrest[inlier], CALM_SHARE))
 
 
-def _quietest(residual: Array, kept: NDArray[np.bool_]) -> float:
+def _quietest(residual: Array, kept: Mask) -> float:
     """Return the robust scale that the quietest blocks of all frames stay below."""
     if residual.dtype.kind == "c":
         residual, kept = np.concatenate([residual.real, residual.imag]), np.concatenate([kept] * 2)
@@ -169,20 +150,6 @@ def _quietest(residual: Array, kept: NDArray[np.bool_]) -> float:
     return float(MAD_TO_SIGMA * np.quantile(np.mean(middle, axis=0), QUIET_SHARE))
 
 
-def _best_followed(
-    residuals: Sequence[Array], references: Sequence[Array], inlier: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Return |residual| [frame row col] and its usual size around [row col], in units of noise.
-
-    Both from the low pass that follows the scene best there.
-    """
-    unit = [robust_scale(reference[inlier]) for reference in references]
-    usual = np.stack([usual_size(r) / u for r, u in zip(residuals, unit, strict=True)])
-    best = usual.argmin(axis=0)
-    size = np.choose(best, [np.abs(r) / u for r, u in zip(residuals, unit, strict=True)])
-    return size, usual.min(axis=0)
-
-
 def usual_size(residual: Array) -> Array:
     """Return [row col] the robust scale of residuals [frame row col] around each pixel.
 
@@ -195,7 +162,7 @@ def usual_size(residual: Array) -> Array:
     return np.asarray(np.quantile(windows, 0.75, axis=(0, 3, 4)) / UPPER_QUARTILE_SIZE)
 
 
-def light_of(y: Array, used: NDArray[np.bool_]) -> Array:
+def light_of(y: Array, used: Mask) -> Array:
     """Return the light at each pixel [frame row col]: the median of it and its four neighbours.
 
     Of phasors the amplitude. The pixel alone would tell less noise where it is darker by chance,

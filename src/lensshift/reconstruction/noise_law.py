@@ -15,18 +15,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import uniform_filter
 from scipy.special import gammaln
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.gaussian import MAD_TO_SIGMA
-
-Array = NDArray[Any]
-Mask = NDArray[np.bool_]
 
 # Power of a scene over that of the noise, at 1 cycle per LR pixel, where a fit stops following.
 STIFFNESS = np.array([3.0, 0.3, 0.03])
@@ -90,7 +86,7 @@ class NoiseLaw:
         a, b = self.a * factor**2, self.b * factor**2
         return NoiseLaw(self.sigma * factor, a, b, self.darkest, self.brightest)
 
-    def variance(self, light: Array) -> NDArray[np.float64]:
+    def variance(self, light: Array) -> Floats:
         """Return the variance at each pixel."""
         seen = np.clip(light, self.darkest, self.brightest)
         return np.asarray(self.a + self.b * seen, np.float64)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.noise import robust_scale
-
-Array = NDArray[Any]
 
 HUBER_SIGMAS = 1.345
 # Rounds end when no gain changes by more than this share, far below what it is off by in the end:
@@ -19,9 +15,7 @@ HUBER_SIGMAS = 1.345
 SETTLED, MOST_ROUNDS = 1e-3, 16
 
 
-def estimate_photometry(
-    A: LinearOperator, y: Array, weight: Array
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def estimate_photometry(A: LinearOperator, y: Array, weight: Array) -> tuple[Floats, Floats]:
     """Estimate gain and bias [frame] such that y_k = gain_k (A x)_k + bias_k.
 
     A smooth x is fitted to the corrected frames and each frame is regressed on its prediction
@@ -58,9 +52,7 @@ def estimate_photometry(
     return gain, bias
 
 
-def std_of_level(
-    image: NDArray[np.float64], gain: NDArray[np.float64], bias: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def std_of_level(image: Floats, gain: Floats, bias: Floats) -> Floats:
     """Return the standard deviation of what no frame tells: the gain and bias that all share.
 
         std^2 = var_k(gain_k x + bias_k) / K

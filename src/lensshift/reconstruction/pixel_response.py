@@ -9,8 +9,8 @@ from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.errors import DataError
 from lensshift.core.lens_field import LensField
 from lensshift.core.optical import gaussian_width
@@ -38,7 +38,6 @@ from lensshift.reconstruction.problem import (
     without_lens,
 )
 
-Array = NDArray[Any]
 WidthSource = Literal["given", "burst", "frames", "assumed"]
 
 # A variance: the learned solver sharpens beyond a square pixel by 0.4 to 1.4 % of the contrast at
@@ -84,7 +83,6 @@ def as_seen(
     request: Request,
     response: dict[str, Any],
     blur: Blur,
-    scale: int,
     seen: Mapping[str, Any],
 ) -> tuple[dict[str, Any], Request]:
     """Return the width that the frames of `part` show, if they show one; else the usual one.
@@ -97,11 +95,10 @@ def as_seen(
     channel : what is reconstructed
     response : as from `told_response`
     blur : the whole of it; a fill factor was always told
-    scale, seen : scale, blur, shift_field, noise_sigma and pixel_variance, as in `make_problem`,
+    seen : scale, blur, shift_field, noise_sigma and pixel_variance, as in `make_problem`,
         with what is undone if the frames do not tell; noise that may be that of distances says
         nothing of the light
     """
-    seen = {"scale": scale} | dict(seen)
     if response["psf_source"] != "assumed" or isinstance(blur, ApertureBlur):
         return response, _questioned(part, channel, request, response, blur, seen)
     found, request = _found(part, channel, request, seen)

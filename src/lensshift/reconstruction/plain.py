@@ -8,9 +8,11 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from lensshift.core.types import Estimate, Status
-from lensshift.reconstruction import baselines
+from lensshift.reconstruction.baselines.accumulate import drizzle_frames, shift_and_add
+from lensshift.reconstruction.baselines.deconvolve import deconvolution
+from lensshift.reconstruction.baselines.interpolate import bicubic, nearest_taps, resampled
+from lensshift.reconstruction.baselines.result import Baseline
 from lensshift.reconstruction.method import Method, Request
-from lensshift.reconstruction.noise import estimate_noise
 from lensshift.reconstruction.options import one_of, option, positive, whole
 from lensshift.reconstruction.problem import Problem
 
@@ -26,14 +28,11 @@ class _Plain(Method):
         sigma, std = problem.noise_sigma, None
         if request.std and found.noise_gain is not None:
             if sigma is None:
-                sigma = estimate_noise(
-                    problem.model.operator, problem.y, problem.telling_weight,
-                    even=problem.even_noise,
-                ).sigma  # fmt: skip
+                sigma = problem.shown_noise.sigma
             std = found.noise_gain * sigma
         return Estimate(image=image, uncertainty=std, status=Status.DIRECT, noise_sigma=sigma)
 
-    def _found(self, problem: Problem) -> baselines.Baseline:
+    def _found(self, problem: Problem) -> Baseline:
         raise NotImplementedError
 
 
@@ -57,10 +56,10 @@ class Nearest(_Plain):
     name: ClassVar[str] = "nearest"
     summary: ClassVar[str] = "one frame, each HR pixel from the nearest LR pixel"
 
-    def _found(self, problem: Problem) -> baselines.Baseline:
+    def _found(self, problem: Problem) -> Baseline:
         k = _frame_of(problem, self.frame)
-        return baselines.nearest(
-            problem.y[k], problem.weight[k], problem.offset_px[k], problem.scale
+        return resampled(
+            problem.y[k], problem.weight[k], problem.offset_px[k], problem.scale, nearest_taps
         )
 
 
@@ -88,8 +87,8 @@ class Bicubic(_Plain):
         if self.frame is not None and self.combine != "first":
             raise ValueError(f"combine {self.combine!r} takes all frames, got frame {self.frame}")
 
-    def _found(self, problem: Problem) -> baselines.Baseline:
-        return baselines.bicubic(
+    def _found(self, problem: Problem) -> Baseline:
+        return bicubic(
             problem.y, problem.weight, problem.offset_px, problem.scale,
             combine=self.combine, frame=_frame_of(problem, self.frame),
         )  # fmt: skip
@@ -114,9 +113,9 @@ class Deconvolution(_Plain):
     reads_response: ClassVar[bool] = True
     take_level: ClassVar[bool] = False  # Richardson and Lucy want no negative values
 
-    def _found(self, problem: Problem) -> baselines.Baseline:
+    def _found(self, problem: Problem) -> Baseline:
         k = _frame_of(problem, self.frame)
-        return baselines.deconvolution(
+        return deconvolution(
             problem.y[k], problem.weight[k], problem.offset_px[k], problem.scale,
             psf_sigma_px=problem.blur_sigma_px, noise_sigma=problem.noise_sigma,
             method=self.algorithm,
@@ -138,8 +137,8 @@ class ShiftAndAdd(_Plain):
     name: ClassVar[str] = "shift-and-add"
     summary: ClassVar[str] = "every LR sample dropped into the nearest HR pixel, holes filled"
 
-    def _found(self, problem: Problem) -> baselines.Baseline:
-        return baselines.shift_and_add(
+    def _found(self, problem: Problem) -> Baseline:
+        return shift_and_add(
             problem.y, problem.weight, problem.offset_px, problem.scale, combine=self.combine
         )
 
@@ -161,7 +160,7 @@ class Drizzle(_Plain):
     name: ClassVar[str] = "drizzle"
     summary: ClassVar[str] = "STScI drizzle: LR pixels shrunk and rained onto the HR grid"
 
-    def _found(self, problem: Problem) -> baselines.Baseline:
-        return baselines.drizzle_frames(
+    def _found(self, problem: Problem) -> Baseline:
+        return drizzle_frames(
             problem.y, problem.weight, problem.offset_px, problem.scale, self.pixfrac, self.kernel
         )

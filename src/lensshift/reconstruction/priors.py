@@ -15,11 +15,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, ClassVar, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.forward.differences import (
     Directions,
     add_weighted_laplacian,
@@ -29,33 +29,36 @@ from lensshift.forward.differences import (
 from lensshift.reconstruction.options import check_settings, option, positive, whole
 from lensshift.reconstruction.quantiles import median_3x3, weighted_mad
 
-Array = NDArray[Any]
 
-
-class Prior(Protocol):
+class Prior:
     """What a solver asks of a prior."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
     @property
     def directions(self) -> Directions:
-        """The directions [direction 2] of its differences."""
-        ...
+        """The directions [direction 2] of its differences: across, down and both diagonals."""
+        return half_plane(1)
 
     @property
     def degree(self) -> float:
         """P(c x) ~ c^degree P(x)."""
-        ...
+        return 1.0
 
     def value(self, x: Array) -> float:
         """Return P(x)."""
-        ...
+        raise NotImplementedError
 
     def coefficients(self, x: Array) -> Array:
         """Return a(x) [direction row col]."""
-        ...
+        raise NotImplementedError
 
     def renewed(self, x: Array, sigma: float) -> Prior:
         """Return the prior for the next step from x, where the noise of an LR pixel is sigma."""
-        ...
+        return self
 
 
 def gradient(prior: Prior, x: Array) -> Array:
@@ -74,17 +77,13 @@ def squared_differences(x: Array, directions: Directions) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class TotalVariation:
+class TotalVariation(Prior):
     """Isotropic total variation, sum sqrt(|dx|^2 + |dy|^2 + s^2) - s.
 
     Source: Rudin, Osher and Fatemi 1992.
     """
 
     smoothing: float = option(1e-3, positive())
-    degree: ClassVar[float] = 1.0
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     @property
     def directions(self) -> Directions:
@@ -100,32 +99,19 @@ class TotalVariation:
         a = 0.5 / self._root(x)
         return np.stack([a, a])
 
-    def renewed(self, x: Array, sigma: float) -> TotalVariation:
-        """Return the same prior."""
-        return self
-
     def _root(self, x: Array) -> Array:
         square = squared_differences(x, self.directions).sum(axis=0)
         return np.asarray(np.sqrt(square + self.smoothing**2))
 
 
 @dataclass(frozen=True, slots=True)
-class HuberDifferences:
+class HuberDifferences(Prior):
     """Huber function of the differences to the eight neighbours.
 
     h(e) = e^2 / (2 t) if |e| <= t else |e| - t / 2
     """
 
     threshold: float = option(0.02, positive())
-    degree: ClassVar[float] = 1.0
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-    @property
-    def directions(self) -> Directions:
-        """Across, down and both diagonals."""
-        return half_plane(1)
 
     def value(self, x: Array) -> float:
         """Return P(x)."""
@@ -138,10 +124,6 @@ class HuberDifferences:
         size = np.sqrt(squared_differences(x, self.directions))
         return np.asarray(0.5 / np.maximum(size, self.threshold))
 
-    def renewed(self, x: Array, sigma: float) -> HuberDifferences:
-        """Return the same prior."""
-        return self
-
 
 @lru_cache(maxsize=8)
 def _decay(window: int, alpha: float, kind: np.dtype[Any]) -> Array:
@@ -152,7 +134,7 @@ def _decay(window: int, alpha: float, kind: np.dtype[Any]) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BilateralTotalVariation:
+class BilateralTotalVariation(Prior):
     """Bilateral total variation, with weights of its own for every difference if it is sparse.
 
         sum over |l|, |m| <= P, (l, m) != 0 of alpha^(|l| + |m|) beta sqrt(|S_lm x - x|^2 + s^2)
@@ -181,10 +163,6 @@ class BilateralTotalVariation:
     smoothing: float = option(1e-2, positive())
     sparsity: float = option(1.0, positive(1.0))
     beta: Array | None = None
-    degree: ClassVar[float] = 1.0
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
     @property
     def directions(self) -> Directions:
@@ -227,7 +205,7 @@ class BilateralTotalVariation:
 
 
 @dataclass(frozen=True, slots=True)
-class SparseDifferences:
+class SparseDifferences(Prior):
     """Differences to the eight neighbours to a power: 2 is Tikhonov, 1 total variation.
 
         sum_d share_d (|D_d x|^2 + s^2)^(p / 2)
@@ -247,11 +225,6 @@ class SparseDifferences:
     smoothing: float = 0.1
     decay: float = 0.75
     sigma: float = 0.0
-
-    @property
-    def directions(self) -> Directions:
-        """Across, down and both diagonals."""
-        return half_plane(1)
 
     @property
     def degree(self) -> float:
@@ -274,7 +247,7 @@ class SparseDifferences:
         return replace(self, smoothing=smoothing, sigma=sigma)
 
     @property
-    def _share(self) -> NDArray[np.float64]:
+    def _share(self) -> Floats:
         """Diagonal neighbours are farther away: their differences count 1 / length."""
         return np.asarray(1.0 / np.sqrt((self.directions**2).sum(axis=1)))[:, None, None]
 

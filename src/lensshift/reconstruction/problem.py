@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.types import Burst, ShiftField
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.forward.model import ForwardModel, forward_model
 from lensshift.forward.prediction import FramePredictor
 from lensshift.reconstruction.clipping import beside, clipped_pixels
-
-Array = NDArray[Any]
+from lensshift.reconstruction.noise import Noise, estimate_noise
 
 # So many pixels tell the percentiles of frames to a thousandth of the contrast.
 MOST_PIXELS = 2**15
@@ -62,17 +61,17 @@ class Problem:
     """
 
     y: Array
-    weight: NDArray[np.float64]
+    weight: Floats
     model: ForwardModel
     intensity: float
     blur_sigma_px: float
     noise_sigma: float | None
-    shift_error_px: NDArray[np.float64] | float = 0.0
+    shift_error_px: Floats | float = 0.0
     level: float = 0.0
     even_noise: bool = True
     told_sigma: float | None = None
     phase_rad: float = 0.0
-    clipped: NDArray[np.bool_] | None = None
+    clipped: Mask | None = None
 
     @property
     def scale(self) -> int:
@@ -85,11 +84,11 @@ class Problem:
         return self.intensity * np.exp(1j * self.phase_rad) if self.phase_rad else self.intensity
 
     @property
-    def offset_px(self) -> NDArray[np.float64]:
+    def offset_px(self) -> Floats:
         """One offset [frame 2] per frame: plain methods move whole frames and can do no better."""
         return self.model.mean_offset_px
 
-    def judging(self, sigma: NDArray[np.float64]) -> NDArray[np.float64]:
+    def judging(self, sigma: Floats) -> Floats:
         """Return the noise [frame row col] of pixels that may object, infinite of the others."""
         if self.clipped is None:
             return sigma
@@ -98,13 +97,20 @@ class Problem:
         return judging if np.isfinite(judging).any() else sigma
 
     @property
-    def telling_weight(self) -> NDArray[np.float64]:
+    def telling_weight(self) -> Floats:
         """The weight [frame row col] of pixels that tell noise, gain and bias; 0 of the others.
 
         Where none tells, all count.
         """
         telling = np.where(np.isfinite(self.judging(self.weight)), self.weight, 0.0)
         return telling if telling.any() else self.weight
+
+    @property
+    def shown_noise(self) -> Noise:
+        """What the frames say of their noise."""
+        return estimate_noise(
+            self.model.operator, self.y, self.telling_weight, even=self.even_noise
+        )
 
     def with_photometry(self, gain: ArrayLike, bias: ArrayLike) -> Problem:
         """Return the problem with another gain and bias [frame], bias in units of `intensity`.
@@ -131,7 +137,7 @@ class Problem:
         return replace(self, weight=self.weight * np.clip(share, LEAST_SHARE_OF_LIGHT, 1.0))
 
 
-def peak_of(values: Array, used: NDArray[np.bool_]) -> float:
+def peak_of(values: Array, used: Mask) -> float:
     """Return what to divide frames by for the toolbox, which expects the range 0 .. 1 as published.
 
     Integers: the largest number of their type. Floats: 1, unless they are not normalised; then
@@ -145,7 +151,7 @@ def peak_of(values: Array, used: NDArray[np.bool_]) -> float:
     return brightness_of(values, used)
 
 
-def brightness_of(values: Array, used: NDArray[np.bool_]) -> float:
+def brightness_of(values: Array, used: Mask) -> float:
     """Return the 99.5th percentile of |values|, which a few hot pixels do not move (1 if it is 0).
 
     A method that divides by it gives twice the image for twice the frames.
@@ -161,7 +167,7 @@ def make_problem(
     blur: Blur,
     shift_field: ShiftField | None,
     noise_sigma: float | None,
-    intensity: Callable[[Array, NDArray[np.bool_]], float] = brightness_of,
+    intensity: Callable[[Array, Mask], float] = brightness_of,
     pixel_variance: Array | None = None,
     even_noise: bool = True,
     take_level: bool = False,
@@ -283,7 +289,7 @@ def without_lens(blur: Blur) -> Blur:
 def predictor(
     burst: Burst,
     problem: Problem,
-    used: tuple[int, ...],
+    used: Sequence[int],
     image: Array,
     shift_field: ShiftField | None,
     gain: ArrayLike = 1.0,
@@ -312,7 +318,7 @@ def predictor(
     return FramePredictor(image, scale, blur, burst.offset_px, gains, biases, field_px, *of_spots)
 
 
-def _large_level(values: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
+def _large_level(values: Array, used: Mask) -> tuple[float, float]:
     """Return median and contrast of frames far from 0 for their contrast, 0 and 0 of others."""
     if values.dtype.kind == "c":
         return 0.0, 0.0
@@ -322,14 +328,14 @@ def _large_level(values: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
     return float(level), float(high - low)
 
 
-def some_pixels(values: Array, used: NDArray[np.bool_], most: int = MOST_PIXELS) -> Array:
+def some_pixels(values: Array, used: Mask, most: int = MOST_PIXELS) -> Array:
     """Return the pixels that are used, of many some that are spread over all frames."""
     step = values.size // most | 1  # odd, so that no column is seen alone
     some = values.ravel()[::step][used.ravel()[::step]]
     return some if some.size else values[used]
 
 
-def _own_error_px(sigma_px: Array | None, count: int) -> NDArray[np.float64]:
+def _own_error_px(sigma_px: Array | None, count: int) -> Floats:
     """Return the error [frame] of each shift beyond that of a usual one.
 
     Shifts about a reference share its error, which moves the picture as a whole; what usual errors
@@ -344,7 +350,7 @@ def _own_error_px(sigma_px: Array | None, count: int) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(np.maximum(variance - usual, 0.0)))
 
 
-def _variance_weight(pixel_variance: Array, weight: Array) -> tuple[NDArray[np.float64], float]:
+def _variance_weight(pixel_variance: Array, weight: Array) -> tuple[Floats, float]:
     """Return the least variance over that of each pixel, and the least."""
     variance = np.asarray(pixel_variance, np.float64)
     if variance.shape != weight.shape:

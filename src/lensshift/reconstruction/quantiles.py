@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[Any]
+from lensshift.core.arrays import Array
 
 # Of more values than this, evenly spread ones are taken: the median of so many Gaussian values is
 # good to 1.253 / sqrt(2^13) = 1.4 % of their standard deviation.
@@ -56,7 +54,7 @@ def _median(values: Array, weights: Array) -> float:
 
 
 @njit(cache=True, fastmath=True, nogil=True, error_model="numpy")
-def median_3x3(image: Array, factor: Array, out: Array) -> None:
+def median_3x3(image: Array, factor: float, out: Array) -> None:
     """Write factor times the 3 x 3 median of an image into out, zeros outside.
 
     Each column of three is sorted; the median of the nine is the median of the greatest of the

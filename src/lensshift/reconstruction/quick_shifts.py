@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
-Shifts = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from lensshift.core.arrays import Array, Mask, Shifts
 
 # A low pass against the aliases of the pixels, and Gauss-Newton, find the shifts of the frames.
 LOW_PASS_PX, FINDING_ROUNDS, FOUND_PX, BORDER_PX = 0.8, 10, 0.01, 3
@@ -44,13 +39,10 @@ def found_shifts(smooth: Array, given_px: Shifts) -> Shifts:
     offset_px = given_px.copy()
     told = np.eye(2)
     for _ in range(FINDING_ROUNDS):
-        moved = _moved(smooth, offset_px)
-        common = moved.mean(axis=0)
-        slope = np.stack([g[INNER].ravel() for g in np.gradient(common)], axis=1)
+        rest, slope = _rest_and_slope(smooth, offset_px)
         size, direction = np.linalg.eigh(slope.T @ slope)
         told = direction * (size > LEAST_TOLD * size[1]) @ direction.T
         inverse = direction / np.maximum(size, LEAST_TOLD * size[1] + 1e-300) @ direction.T
-        rest = (common - moved)[INNER].reshape(len(smooth), -1)
         step = np.clip(rest @ slope @ inverse @ told, -1.0, 1.0)
         offset_px += step - step.mean(axis=0)
         if np.abs(step).max() < FOUND_PX:
@@ -63,11 +55,9 @@ def found_variance_px2(smooth: Array, offset_px: Shifts) -> float:
 
     Noise, and aliases, which are as good as noise to what takes them for the scene.
     """
-    moved = _moved(smooth, offset_px)
-    common = moved.mean(axis=0)
-    slope = np.stack([g[INNER].ravel() for g in np.gradient(common)], axis=1)
+    rest, slope = _rest_and_slope(smooth, offset_px)
     size = np.linalg.eigvalsh(slope.T @ slope)
-    left = np.sum((common - moved)[INNER] ** 2) / (len(smooth) - 1)
+    left = np.sum(rest**2) / (len(smooth) - 1)
     alike_px = 4 * np.pi * LOW_PASS_PX**2  # pixels that go together behind the low pass
     return float(left / len(slope) * alike_px * np.sum(1 / size[size > LEAST_TOLD * size[1]]))
 
@@ -104,6 +94,14 @@ def found_turns(smooth: Array, given_px: Shifts) -> Array | None:
         if np.abs(step).max() < FOUND_PX:
             break
     return np.asarray(np.einsum("kit,thw->khwi", place, terms))
+
+
+def _rest_and_slope(smooth: Array, offset_px: Shifts) -> tuple[Array, Array]:
+    """Return what frames at these shifts lack of their mean [frame pixel], its slopes [pixel 2]."""
+    moved = _moved(smooth, offset_px)
+    common = moved.mean(axis=0)
+    slope = np.stack([g[INNER].ravel() for g in np.gradient(common)], axis=1)
+    return (common - moved)[INNER].reshape(len(smooth), -1), slope
 
 
 def _moved(smooth: Array, offset_px: Shifts) -> Array:

@@ -8,8 +8,9 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Array
 from lensshift.core.defects import doubts_about_frames
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
@@ -20,7 +21,7 @@ from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.misfit import ESTIMATED, NOT_ENOUGH
-from lensshift.reconstruction.options import positive, truth
+from lensshift.reconstruction.options import positive
 from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, Choice, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry, std_of_level
@@ -39,8 +40,6 @@ from lensshift.reconstruction.problem import (
 from lensshift.reconstruction.shift_check import Doubt, warn_of_doubt
 from lensshift.reconstruction.told_shifts import held_against_frames
 from lensshift.reconstruction.uncertainty import PropagatedStd
-
-Array = NDArray[Any]
 
 
 def reconstruct(
@@ -132,11 +131,13 @@ def reconstruct(
         frame lies elsewhere, something moved, the brightness changes. Or if they show another pixel
         response than was told, or are overexposed.
     """
-    burst = _checked(burst, scale, noise_sigma, photometric, memory)
+    burst = _checked(burst, scale, noise_sigma, memory)
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
     chosen = make_method(method, options)
     name, own = chosen.name, chosen.settings
-    request = Request(own.pop("prior_weight", None), seed, non_negative, std, on_iteration, own)
+    request = Request(
+        own.pop("prior_weight", None), seed, non_negative, std, photometric, on_iteration, own
+    )
     field = _field_of(burst, shift_field, lens_field)
     response = told_response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
@@ -152,17 +153,16 @@ def reconstruct(
     asked = (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick)
     told, request = held_against_frames(burst, part, field, scale, request, asked=asked)
     burst, part = told.burst, told.part
-    seen: dict[str, Any] = {"blur": undone(blur, response, chosen, lens_field),
-                            "shift_field": field, "noise_sigma": noise_sigma,
-                            "pixel_variance": variance}  # fmt: skip
+    seen: dict[str, Any] = {
+        "scale": scale, "blur": undone(blur, response, chosen, lens_field), "shift_field": field,
+        "noise_sigma": noise_sigma, "pixel_variance": variance,
+    }  # fmt: skip
     # Gains would look like edges, and spots vary.
     if chosen.reads_response and not photometric and lens_field is None:
-        response, request = as_seen(part, choice.channel, request, response, blur, scale, seen)
+        response, request = as_seen(part, choice.channel, request, response, blur, seen)
         seen["blur"] = undone(blur, response, chosen, lens_field)
-    settings = _settings(burst, seen, used, request, photometric, choice) | response | told.settings
-    found, flying = _estimates(
-        burst, part, choice.channel, scale, used, chosen, request, photometric, seen
-    )
+    settings = _settings(burst, seen, request, choice) | response | told.settings
+    found, flying = _estimates(burst, part, choice.channel, chosen, request, seen)
     found = _objected(found, told.doubt, request.refuted, _what_else(part, choice.channel, scale))
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
@@ -174,23 +174,18 @@ def _estimates(
     burst: Burst,
     part: Burst,
     channel: str,
-    scale: int,
-    used: tuple[int, ...],
     chosen: Method,
     request: Request,
-    photometric: bool,
     seen: dict[str, Any],
 ) -> tuple[dict[str, Estimate], Array | None]:
     """Reconstruct both channels from phasors, with what flies, or each on its own."""
     if channel == "phasor":
-        both = reconstruct_phasor(
-            burst, used, scale, chosen.name, request, photometric=photometric, **seen
-        )
+        both = reconstruct_phasor(burst, chosen.name, request, seen)
         return {"amplitude": both.amplitude, "distance": both.distance_m}, both.flying
     found: dict[str, Estimate] = {}
     for key, values in _channels(part, channel).items():
         problem = make_problem(
-            part, values, scale, even_noise=key != "distance", keep_outside=chosen.keep_outside,
+            part, values, even_noise=key != "distance", keep_outside=chosen.keep_outside,
             take_level=chosen.take_level and not request.non_negative,
             intensity=chosen.intensity, **seen,
         )  # fmt: skip
@@ -199,7 +194,7 @@ def _estimates(
         if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
             problem = problem.with_brightness(part.amplitude)
         own = replace(request, law=None) if key == "distance" else request
-        found[key] = _solve(burst, problem, used, chosen, own, photometric, seen["shift_field"])
+        found[key] = _solve(burst, problem, chosen, own, seen["shift_field"])
     return found, None
 
 
@@ -252,15 +247,13 @@ def _objected(
 def _solve(
     burst: Burst,
     problem: Problem,
-    used: tuple[int, ...],
     method: Method,
     request: Request,
-    photometric: bool,
     field: ShiftField | None,
 ) -> Estimate:
     """Run the method and bring the estimate back to the units of the burst."""
-    gain, bias = np.ones(len(used)), np.zeros(len(used))
-    if photometric:
+    gain, bias = np.ones(len(problem.y)), np.zeros(len(problem.y))
+    if request.photometric:
         gain, bias = estimate_photometry(problem.model.operator, problem.y, problem.telling_weight)
         problem = problem.with_photometry(gain, bias)
     estimate = method(problem, request)
@@ -269,7 +262,7 @@ def _solve(
     fine = None if estimate.fine is None else estimate.fine * unit + level
     bias = bias * unit + level * (1.0 - gain)
     notes = dict(estimate.notes)
-    if photometric:
+    if request.photometric:
         notes |= {"gain": gain.tolist(), "bias": bias.tolist()}
         if "contradiction" in notes:
             notes["contradiction"] = notes["contradiction"].replace(ESTIMATED, NOT_ENOUGH)
@@ -278,7 +271,7 @@ def _solve(
         std = replace(std, unit=unit)
     elif std is not None:
         std = np.asarray(std) * unit
-        if photometric and len(gain) > 1:
+        if request.photometric and len(gain) > 1:
             std = np.hypot(std, std_of_level(image, gain, bias))
     return replace(
         estimate,
@@ -286,7 +279,9 @@ def _solve(
         fine=fine,
         uncertainty=std,
         noise_sigma=None if estimate.noise_sigma is None else estimate.noise_sigma * unit,
-        predict=predictor(burst, problem, used, image if fine is None else fine, field, gain, bias),
+        predict=predictor(
+            burst, problem, request.frames, image if fine is None else fine, field, gain, bias
+        ),
         notes=notes,
     )
 
@@ -337,12 +332,9 @@ def _field_of(
     return lens_field.of(burst)
 
 
-def _checked(
-    burst: Burst, scale: int, noise_sigma: float | None, photometric: bool, memory: Memory | None
-) -> Burst:
+def _checked(burst: Burst, scale: int, noise_sigma: float | None, memory: Memory | None) -> Burst:
     """Return the burst without the pixels that are stuck; a stream does not look for them."""
     expect_burst(burst)
-    truth().check("photometric", photometric)
     if noise_sigma is not None:
         positive().check("noise_sigma", noise_sigma)
     if isinstance(scale, bool) or scale not in range(1, 9):
@@ -360,20 +352,18 @@ def _questioned(burst: Burst, *, photometric: bool) -> Burst:
 def _settings(
     burst: Burst,
     seen: dict[str, Any],
-    used: tuple[int, ...],
     request: Request,
-    photometric: bool,
     choice: Choice,
 ) -> dict[str, Any]:
     cards = burst.meta.get("wcs")  # of the first frame, see `io.fits_wcs`
     sky = {"wcs": {"cards": cards, "offset_px": burst.offset_px[0].tolist()}} if cards else {}
     return {
         "blur": seen["blur"],
-        "frames": list(used),
+        "frames": list(request.frames),
         "prior_weight": request.prior_weight,
         "noise_sigma": seen["noise_sigma"],
         "non_negative": request.non_negative,
-        "photometric": photometric,
+        "photometric": request.photometric,
         "shift_field": seen["shift_field"] is not None,
         "seed": request.seed,
         "device": None if request.device is None else request.device.name,

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.noise import robust_scale
-
-Array = NDArray[Any]
 
 # A tenth of the pixels tells the error of a weight to some per cent and leaves a picture to fit.
 HELD_OUT = 0.1

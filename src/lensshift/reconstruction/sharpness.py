@@ -12,11 +12,10 @@ is the picture's.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.forward.differences import image_slopes
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.displacement import (
@@ -28,7 +27,6 @@ from lensshift.reconstruction.displacement import (
     told_shifts,
 )
 
-Array = NDArray[Any]
 # Frames of which most are alike, so that one can be told from them.
 LEAST_FRAMES = 4
 # A response that is wider by half a pixel of shaking counts (standard deviation); errors of the
@@ -37,8 +35,8 @@ LEAST_PX2 = 0.5**2
 
 
 def moments_px2(
-    A: LinearOperator, image: Array, y: Array, sigma: NDArray[np.float64], scale: int
-) -> dict[int, NDArray[np.float64]]:
+    A: LinearOperator, image: Array, y: Array, sigma: Floats, scale: int
+) -> dict[int, Floats]:
     """Return C_k = (row row, row col, col col) of the frames that are surely sharper or less sharp.
 
     Of none, unless one is less sharp by as much as counts.

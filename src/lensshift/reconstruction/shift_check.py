@@ -11,22 +11,17 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Array, Mask, Shifts
 from lensshift.core.errors import QualityWarning
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.model import forward_model
-from lensshift.reconstruction.glance import FAR_PX, Glance, glance
+from lensshift.reconstruction.glance import FAR_PX, Glance
 from lensshift.reconstruction.quick_shifts import found_shifts, found_turns, low_passed
-
-Array = NDArray[Any]
-Shifts = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Of fewer held-out pixels nothing follows.
 LEAST_HELD_OUT = 50
@@ -115,14 +110,7 @@ def warn_of_doubt(doubt: Doubt, *, stacklevel: int = 2) -> None:
     )
 
 
-def doubtful_shifts(
-    frames: ArrayLike,
-    offset_px: ArrayLike,
-    *,
-    scale: int = 2,
-    valid: Mask | None = None,
-    seed: int = 0,
-) -> Doubt | None:
+def doubtful_shifts(look: Glance, scale: int) -> Doubt | None:
     """Return what seems to be wrong with the shifts of some frames, or None.
 
     A smooth picture is fitted to three quarters of the pixels, under the given shifts and under
@@ -135,20 +123,11 @@ def doubtful_shifts(
 
     Parameters
     ----------
-    frames : [frame row col], complex ones count by their size
-    offset_px : [frame 2], or [frame row col 2]
     scale : HR pixels per LR pixel, by which a wrong unit would be off
-    valid : [frame row col], None: all pixels are
     """
-    look = glance(frames, offset_px, valid)
-    return None if look is None else doubt_of(look, scale, seed)
-
-
-def doubt_of(look: Glance, scale: int, seed: int = 0) -> Doubt | None:
-    """Return what seems to be wrong with the shifts, see `doubtful_shifts`."""
     given, seen = look.given_px, look.seen
     upright = len(given) < LEAST_TURNING or look.about_px is not None
-    trial = _Trial(look.values, seen, given, look.about_px, seed)
+    trial = _Trial(look.values, seen, given, look.about_px)
     smooth, found = look.smooth, look.found_px
     first = _doubt(trial, smooth, found, scale) or (None if upright else _turn(trial, smooth))
     if first is None:
@@ -158,15 +137,15 @@ def doubt_of(look: Glance, scale: int, seed: int = 0) -> Doubt | None:
     again = low_passed(alike, seen)
     if again is None:
         return None
-    trial = _Trial(alike, seen, given, look.about_px, seed)
+    trial = _Trial(alike, seen, given, look.about_px)
     found = found_shifts(again, given)
     return _doubt(trial, again, found, scale) or (None if upright else _turn(trial, again))
 
 
-def surely_better(look: Glance, offset_px: Shifts, seed: int = 0) -> bool:
+def surely_better(look: Glance, offset_px: Shifts) -> bool:
     """Return whether other shifts of all frames predict pixels better, beyond chance."""
     other_px = offset_px[look.numbers]
-    trial = _Trial(look.values, look.seen, look.given_px, look.about_px, seed)
+    trial = _Trial(look.values, look.seen, look.given_px, look.about_px)
     sure = trial.compare(other_px - other_px.mean(axis=0), CONFIRMING_FOLDS)[1]
     return sure >= SURE
 
@@ -210,7 +189,7 @@ def _turn(trial: _Trial, smooth: Array) -> Doubt | None:
     if turned is None:
         return None
     found_px = found_shifts(smooth, trial.given_px)
-    shifted = _Trial(trial.values, trial.seen, found_px, None, trial.seed)
+    shifted = _Trial(trial.values, trial.seen, found_px, None)
     ratios = []
     for other in (trial, shifted):
         ratio, sure = other.compare(turned, CONFIRMING_FOLDS)
@@ -226,11 +205,11 @@ class _Trial:
     """Fits to a part of the pixels, and how well they predict the others."""
 
     def __init__(
-        self, values: Array, seen: Mask, given_px: Shifts, about_px: Array | None, seed: int
+        self, values: Array, seen: Mask, given_px: Shifts, about_px: Array | None, seed: int = 0
     ) -> None:
         rng = np.random.default_rng(seed)
         self.values, self.seen, self.given_px = values.astype(np.float32), seen, given_px
-        self.about_px, self.seed = about_px, seed
+        self.about_px = about_px
         self.fold = rng.integers(0, FOLDS, values.shape)
         self.noise = rng.standard_normal(values.shape, np.float32)
         self.cache: dict[tuple[bytes, int, bool], Array] = {}

@@ -10,18 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array
 from lensshift.core.types import Estimate, Status
 from lensshift.forward.least_squares import mean_column_square, smooth_fit, solve_penalised
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.losses import Loss
 from lensshift.reconstruction.priors import Prior
 
-Array = NDArray[Any]
 OnIteration = Callable[[int, float], None]
 
 # Stiffness and conjugate gradients of the low pass where the methods begin: it need not be solved.

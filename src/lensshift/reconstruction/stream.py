@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter
 
 from lensshift.core.errors import QualityWarning
@@ -20,7 +20,6 @@ from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import one_of
 from lensshift.reconstruction.reconstruct import reconstruct
 
-Array = NDArray[Any]
 Pace = Literal["auto", "live", "refined"]
 
 # A frame is of another scene where most pixels are farther from the picture than noise and shifts
@@ -32,14 +31,6 @@ RESTS = 0.01
 BETTER_PLACE = 0.5
 # Rounds of the plan after which all is computed anew, so that nothing drifts.
 REFINED_ROUNDS = 1
-
-
-@dataclass(frozen=True, slots=True)
-class _Seen:
-    """What a frame says against the picture: the share of pixels, and the sum of their squares."""
-
-    share: float
-    squares: float
 
 
 class Stream:
@@ -127,9 +118,6 @@ class Stream:
         round_ends = self._since_refined + 1 >= REFINED_ROUNDS * self._template.frame_count
         live = self._rests and self._pace != "refined" and not (self._pace == "auto" and round_ends)
         event, self._event, self._rests = self._event, None, True
-        return self._solved(event, live=live)
-
-    def _solved(self, event: str | None, *, live: bool) -> Reconstruction:
         places, burst = sorted(self._frames), self.window
         memory, self._memory = self._memory, Memory()  # what is interrupted is not remembered
         memory.begin(quick=live)
@@ -155,28 +143,28 @@ class Stream:
             return at, "frames lost", False
         if self._result is None or at not in self._frames:  # what nobody saw may be anything
             return at, None, False
-        seen = self._seen(frame, at)
-        if seen.share <= RESTS:
+        share, squares = self._seen(frame, at)
+        if share <= RESTS:
             return at, None, True
         if place is None and len(self._frames) == count > 1:
             others = {k: self._seen(frame, k) for k in range(count) if k != at}
-            best = min(others, key=lambda k: others[k].squares)
-            if others[best].squares < BETTER_PLACE * seen.squares:
+            best = min(others, key=lambda k: others[k][1])
+            if others[best][1] < BETTER_PLACE * squares:
                 self._warn(f"frames were lost: the one after place {self._next} is of {best}")
                 return best, "frames lost", False
-        if seen.share > MOST:
+        if share > MOST:
             self._warn("the scene changed: what was seen before is left out")
             return at, "scene changed", False
         return at, None, False
 
-    def _seen(self, frame: Frame, at: int) -> _Seen:
-        """Compare a frame with what the picture says of a place of the plan.
+    def _seen(self, frame: Frame, at: int) -> tuple[float, float]:
+        """Return what share of a frame contradicts the picture of a place, and sum of squares.
 
         By more than the last frame of that place differs from it, which is in the picture.
         """
         estimate = None if self._result is None else self._result.amplitude
         if estimate is None:  # a stream of distances alone
-            return _Seen(0.0, 0.0)
+            return 0.0, 0.0
         expected = estimate.predict(self._template.offset_px[at])
         noise = estimate.noise_sigma or 0.0
         variance = noise**2 + ALLOWED_SHIFT_PX**2 * sum(
@@ -189,7 +177,7 @@ class Stream:
         variance = variance + uniform_filter(last, 3)
         around = uniform_filter(seen / np.maximum(variance, 1e-30), 3)
         inner = (slice(1, -1), slice(1, -1)) if min(around.shape) > 2 else (slice(None),) * 2
-        return _Seen(float(np.mean(around[inner] > CONTRADICTS)), float(np.sum(seen[inner])))
+        return float(np.mean(around[inner] > CONTRADICTS)), float(np.sum(seen[inner]))
 
     def _warn(self, text: str) -> None:
         warnings.warn(text, QualityWarning, stacklevel=4)

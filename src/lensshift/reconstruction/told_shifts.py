@@ -14,7 +14,12 @@ from lensshift.reconstruction.glance import Glance, glance
 from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.quick_shifts import found_variance_px2
-from lensshift.reconstruction.shift_check import Doubt, doubt_of, surely_better, warn_of_doubt
+from lensshift.reconstruction.shift_check import (
+    Doubt,
+    doubtful_shifts,
+    surely_better,
+    warn_of_doubt,
+)
 
 # More than twice the budget of a calibration, which `register` calls poor as well; smaller errors
 # are mended without a word.
@@ -59,7 +64,7 @@ def held_against_frames(
         return told, request
     shifts = part.offset_px if shift_field is None else shift_field.offset_px
     look = glance(part.amplitude, shifts, part.valid)
-    doubt = None if look is None else doubt_of(look, scale)
+    doubt = None if look is None else doubtful_shifts(look, scale)
     if doubt is not None and doubt.named:
         warn_of_doubt(doubt, stacklevel=3)
         return replace(told, doubt=doubt), replace(request, shifts_doubted=True)

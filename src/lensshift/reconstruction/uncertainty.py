@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.forward.model import ForwardModel
 from lensshift.reconstruction.solver import Reweighted
-
-Array = NDArray[Any]
 
 REPLICATES = 12
 
@@ -26,7 +23,7 @@ def propagated_std(
     replicates: int = REPLICATES,
     smooth_hr_px: float = 1.0,
     seed: int = 0,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the standard deviation of each HR pixel, from replicates of the noise.
 
         std^2 = var_j x(y + sigma n_j),   n_j white noise
@@ -89,7 +86,7 @@ class PropagatedStd:
     seed: int = 0
     unit: float = 1.0
 
-    def __call__(self) -> NDArray[np.float64]:
+    def __call__(self) -> Floats:
         """Return the standard deviation [row col]."""
         A = self.model.operator
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.registration.picture import (
     LEAST_FRAMES,
     Fit,
-    Mask,
     Places,
-    Shifts,
     alternate,
     predicted,
     step_from,
@@ -42,7 +39,7 @@ class AffineFit(NamedTuple):
     """
 
     offset_px: Shifts
-    affine: NDArray[np.float64]
+    affine: Floats
     sigma_px: Shifts
     noise: float
     settled: bool
@@ -57,15 +54,13 @@ class AffineFit(NamedTuple):
         )
 
 
-def turns_of(
-    affine: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def turns_of(affine: Floats) -> tuple[Floats, Floats]:
     """Return by how many degrees each frame turns, and by what part of its size it grows."""
     turn_deg = np.rad2deg((affine[:, 1, 0] - affine[:, 0, 1]) / 2)
     return turn_deg, np.trace(affine, axis1=1, axis2=2) / 2
 
 
-def corner_px(affine: NDArray[np.float64], shape: tuple[int, ...]) -> float:
+def corner_px(affine: Floats, shape: tuple[int, ...]) -> float:
     """Return how far a corner of a frame moves against its middle, of the frame that does most."""
     half = (np.array(shape) - 1) / 2
     return float(np.max(np.abs(affine * half).sum(axis=2)))
@@ -127,7 +122,7 @@ def turning(frames: Array, valid: Mask, offset_px: Shifts, reference: int = 0) -
     return found if corner_px(found.affine, frames.shape[1:]) > LEAST_CORNER_PX else None
 
 
-def _quarter_errors(frames: Array, valid: Mask, fit: Fit) -> NDArray[np.float64]:
+def _quarter_errors(frames: Array, valid: Mask, fit: Fit) -> Floats:
     """Return the error of prediction [frame quarter], without what numbers fitted take from it."""
     error, weight, _ = predicted(frames, valid, fit.place_px)
     row, col = (size // 2 for size in frames.shape[1:])

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit, likely_shifts
 
-Shifts = NDArray[np.float64]
 # Frames and validity of a part of the sensor -> offsets and their standard errors.
-Estimate = Callable[[Array, NDArray[np.bool_]], tuple[Shifts, Shifts]]
+Estimate = Callable[[Array, Mask], tuple[Shifts, Shifts]]
 
 # Of larger frames the likelihood is asked of a part: its time goes with their pixels.
 MOST_PX = 96
@@ -54,15 +52,15 @@ class Scatter:
     """
 
     factor: float
-    covariance_px2: NDArray[np.float64]
+    covariance_px2: Floats
 
-    def widened(self, covariance_px2: NDArray[np.float64]) -> NDArray[np.float64]:
+    def widened(self, covariance_px2: Floats) -> Floats:
         """Return a covariance with that part of the scatter which the errors do not explain."""
         return np.asarray(covariance_px2 + (1.0 - self.factor**-2) * self.covariance_px2)
 
 
 def scatter_over_blocks(
-    estimate: Estimate, frames: Array, valid: NDArray[np.bool_], offset_px: Shifts
+    estimate: Estimate, frames: Array, valid: Mask, offset_px: Shifts
 ) -> Scatter:
     """Return how the parts of the sensor scatter about the whole.
 
@@ -96,13 +94,18 @@ def scatter_over_blocks(
     return Scatter(factor, np.asarray(size * part_px.T @ part_px))
 
 
-def telling_part(frames: Array, *sides: int) -> tuple[slice, slice, slice]:
-    """Return the part of frames, `sides` px large, with most detail along its poorer axis."""
-    shape = frames.shape[1:]
-    rows, cols = (min(side, size) for side, size in zip(sides, shape, strict=True))
+def telling_part(
+    frames: Array, valid: Mask, offset_px: Shifts, side_px: int
+) -> tuple[slice, slice, slice]:
+    """Return the part of frames with most detail along its poorer axis.
+
+    So large that all frames have in common what is `side_px` large.
+    """
+    shape, sides_px = frames.shape[1:], side_px + np.ceil(np.ptp(offset_px, axis=0)).astype(int)
+    rows, cols = (min(side, size) for side, size in zip(sides_px, shape, strict=True))
     if (rows, cols) == shape:
         return np.s_[:], np.s_[:], np.s_[:]
-    slopes = np.gradient(frames.mean(axis=0))
+    slopes = np.gradient(filled(frames, valid).mean(axis=0))
     energy = np.pad([np.cumsum(np.cumsum(np.abs(s) ** 2, 0), 1) for s in slopes],
                     ((0, 0), (1, 0), (1, 0)))  # fmt: skip
     inside = (energy[:, rows:, cols:] - energy[:, :-rows, cols:]
@@ -112,7 +115,7 @@ def telling_part(frames: Array, *sides: int) -> tuple[slice, slice, slice]:
     return np.s_[:], slice(int(top), int(top) + rows), slice(int(left), int(left) + cols)
 
 
-def filled(frames: Array, valid: NDArray[np.bool_]) -> Array:
+def filled(frames: Array, valid: Mask) -> Array:
     """Return the frames with invalid pixels taken from the mean of the others, or their mean."""
     good = np.where(valid, frames, 0)
     number = valid.sum(axis=0)
@@ -122,18 +125,17 @@ def filled(frames: Array, valid: NDArray[np.bool_]) -> Array:
 
 
 def likely_where_telling(
-    frames: Array, valid: NDArray[np.bool_], start_px: Shifts, *, reference: int, photometric: bool
+    frames: Array, valid: Mask, start_px: Shifts, *, reference: int, photometric: bool
 ) -> ShiftFit:
     """Return the likeliest shifts; of large frames those of the part that shows most of them."""
-    span = np.ceil(np.ptp(start_px, axis=0)).astype(int)
-    part = telling_part(filled(frames, valid), *(MOST_PX + span))
+    part = telling_part(frames, valid, start_px, MOST_PX)
     return likely_shifts(
         frames[part], valid[part], start_px, reference=reference, photometric=photometric
     )
 
 
 def scatter_of_parts(
-    frames: Array, valid: NDArray[np.bool_], fit: ShiftFit, reference: int, *, photometric: bool
+    frames: Array, valid: Mask, fit: ShiftFit, reference: int, *, photometric: bool
 ) -> Scatter | None:
     """Return how the parts of the sensor scatter, None where that says nothing.
 
@@ -143,10 +145,10 @@ def scatter_of_parts(
     if np.any(fit.sigma_px > UNKNOWN_PX):
         return None
     span_px = np.ceil(np.ptp(fit.offset_px, axis=0)).astype(int)
-    part = telling_part(filled(frames, valid), *(MOST_PX + span_px))
+    part = telling_part(frames, valid, fit.offset_px, MOST_PX)
     run = partial(likely_shifts, reference=reference, photometric=photometric)
 
-    def estimate(block: Array, block_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
+    def estimate(block: Array, block_valid: Mask) -> tuple[Shifts, Shifts]:
         if np.any(np.array(block.shape[1:]) - span_px < LEAST_BLOCK_PX // 2):
             return fit.offset_px, np.zeros_like(fit.offset_px)  # which is left out
         found = run(block, block_valid, fit.offset_px)

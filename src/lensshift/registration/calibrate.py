@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array, Floats
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import QualityWarning
 from lensshift.core.lens_field import LensField
@@ -195,7 +194,7 @@ def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Floats]:
     return burst, found.covariance_px2
 
 
-def _best_of(starts: list[Floats], frames: Array, valid: NDArray[np.bool_]) -> Floats:
+def _best_of(starts: list[Floats], frames: Array, valid: Mask) -> Floats:
     """Return the start from which a picture is found that predicts the frames best.
 
     What stage and play explain is no measure: shifts that are all too small by half fit them as
@@ -214,17 +213,13 @@ def _starts(burst: Burst, phase_px: Floats) -> list[Floats]:
     Phase correlation of each frame is rough where content is aliased; what stage and play make of
     all of them is not. The map that planned the scan may be mirrored, or wrong by a tenth.
     """
-    design = _stage_and_play(burst)
+    design = _design(_stage(burst), _directions(_commanded(burst)), None)
     found, _, _ = _robust(design, phase_px, np.zeros((phase_px.size, phase_px.size)))
     smooth_px = design @ found
     starts = [smooth_px - smooth_px[0], phase_px]
     if np.any(burst.offset_px):
         starts.insert(1, burst.offset_px - burst.offset_px[0])
     return starts
-
-
-def _stage_and_play(burst: Burst) -> Floats:
-    return _design(_stage(burst), _directions(_commanded(burst)), None)
 
 
 def _commanded(burst: Burst) -> Floats:
@@ -254,7 +249,7 @@ def _directions(commanded_mm: Floats) -> Floats:
     return direction
 
 
-def _turns(direction: Floats) -> NDArray[np.bool_]:
+def _turns(direction: Floats) -> Mask:
     """Tell which axes were approached from both sides; the play of the others is not known."""
     return np.asarray((direction.max(axis=0) > 0) & (direction.min(axis=0) < 0))
 
@@ -328,7 +323,7 @@ def _robust(design: Floats, offset_px: Floats, known_px2: Floats) -> tuple[Float
     return found, covariance, residual
 
 
-def _play(found: Floats, covariance: Floats, turns: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _play(found: Floats, covariance: Floats, turns: Mask) -> tuple[Floats, Floats]:
     """Return play and its standard error of each axis from the shift between the approaches.
 
     The column of direction holds - M[:, axis] play / 2.

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Square = NDArray[np.float64]
+from lensshift.core.arrays import Floats
+
+Square = Floats
 
 # Where less of the information is left, the taper tells of the shift, not the scene: random cards
 # and textures leave 0.67 and more along their weakest direction, single edges 0.28 and less.

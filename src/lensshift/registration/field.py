@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Floats, Mask
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.core.types import Burst
 from lensshift.registration.reference_image import reference_image
@@ -66,7 +65,9 @@ def fit_field(
             for part in (slice(0, None, 2), slice(1, None, 2))
         ]
         first, second = (np.einsum("bij,brc->rcij", half, basis) for half in halves)
-        if _agree(first, second):
+        # The mean of two independent findings is nearer to the truth than nothing: their product is
+        # the square of what is true, a quarter of the squared difference that of the mean's error.
+        if np.mean(first * second) > 0.25 * np.mean((first - second) ** 2):
             found = _coefficients(frames, weight, offset_px, away_mm, basis, known_px)
             best, order = np.einsum("bij,brc->rcij", found, basis), trial
     if best is not None:
@@ -75,15 +76,6 @@ def fit_field(
     seen = weight * taper_frames(frames, weight > 0, offset_px, own_mean=False).window ** 2
     doubt_px2 = _doubt(slope, seen, offset_px, _basis(burst.grid.shape, MAX_ORDER))
     return best, order, _of_texture(slope, seen, slip_px), doubt_px2
-
-
-def _agree(first: Floats, second: Floats) -> bool:
-    """Tell whether the mean of two independent findings is nearer to the truth than nothing.
-
-    Their product is the square of what is true; a quarter of the squared difference is that of
-    the error of their mean.
-    """
-    return bool(np.mean(first * second) > 0.25 * np.mean((first - second) ** 2))
 
 
 def _of_texture(slope: Floats, weight: Floats, slip_px: Floats) -> Floats:
@@ -153,7 +145,7 @@ def _coefficients(
     return found
 
 
-def _free_shifts(slope: Floats, here: NDArray[np.bool_]) -> list[tuple[slice, Floats, Floats]]:
+def _free_shifts(slope: Floats, here: Mask) -> list[tuple[slice, Floats, Floats]]:
     """Return for each frame its pixels, what a shift does to them [pixel 2], and the inverse."""
     edges = np.concatenate([[0], np.cumsum(here.sum(axis=(1, 2)))])
     shifts = []

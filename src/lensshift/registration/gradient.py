@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array
-from lensshift.registration.likelihood import ShiftFit
-
-Shifts = NDArray[np.float64]
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
+from lensshift.registration.likelihood import ShiftFit, against_reference
 
 # Below this low pass the aliases of square pixels pull the shifts towards whole pixels.
 LOW_PASS_SIGMA_PX = 0.8
@@ -21,7 +18,7 @@ _LEAST_PIXELS = 16  # for two numbers of each frame
 
 def gradient_shifts(
     frames: Array,
-    valid: NDArray[np.bool_],
+    valid: Mask,
     start_px: Shifts,
     *,
     reference: int = 0,
@@ -85,9 +82,7 @@ def gradient_shifts(
     )
 
 
-def texture_covariance(
-    frames: Array, valid: NDArray[np.bool_], offset_px: Shifts, noise_sigma: float
-) -> NDArray[np.float64]:
+def texture_covariance(frames: Array, valid: Mask, offset_px: Shifts, noise_sigma: float) -> Floats:
     """Return the covariance [2 2] of a shift that the plain gradients of the frames allow.
 
         sigma^2 T^-1,   T = sum over pixels of grad y_k . grad (mean of the others)
@@ -110,7 +105,7 @@ def texture_covariance(
     return np.asarray((vector / value) @ vector.T * noise_sigma**2)
 
 
-def _low_passed(frames: Array, valid: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+def _low_passed(frames: Array, valid: Mask) -> tuple[Array, Mask]:
     """Return the frames under a Gaussian that leaves invalid pixels out."""
     from scipy.ndimage import gaussian_filter
 
@@ -123,9 +118,7 @@ def _low_passed(frames: Array, valid: NDArray[np.bool_]) -> tuple[Array, NDArray
     return values / np.maximum(weight, 1e-12), seen & inside
 
 
-def _aligned(
-    smooth: Array, seen: NDArray[np.bool_], offset_px: Shifts
-) -> tuple[Array, NDArray[np.bool_]]:
+def _aligned(smooth: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask]:
     """Return the frames moved back by their offsets, and where they see anything."""
     from scipy.ndimage import shift
 
@@ -139,8 +132,8 @@ def _aligned(
 
 
 def _one_frame(
-    moved: Array, model: Array, here: NDArray[np.bool_], *, photometric: bool
-) -> tuple[Shifts, NDArray[np.float64], float, float, float]:
+    moved: Array, model: Array, here: Mask, *, photometric: bool
+) -> tuple[Shifts, Floats, float, float, float]:
     """Return step, normal matrix, change of gain and of bias, and mean squared residual."""
     if np.count_nonzero(here) < _LEAST_PIXELS:
         raise ValueError(
@@ -162,19 +155,12 @@ def _one_frame(
     return found[:2], inner, gain, bias, square
 
 
-def _covariance(
-    normal: NDArray[np.float64], residual: float, reference: int
-) -> NDArray[np.float64]:
+def _covariance(normal: Floats, residual: float, reference: int) -> Floats:
     """Return the covariance [2 frame, 2 frame] of the offsets against the reference.
 
     The low pass shares noise over 4 pi sigma^2 pixels.
     """
     count = len(normal)
     shared = 4.0 * np.pi * LOW_PASS_SIGMA_PX**2
-    each = [residual * shared * np.linalg.pinv(one, rcond=1e-9) for one in normal]
-    covariance = np.zeros((count, 2, count, 2))
-    for k in range(count):
-        for other in range(count):
-            if reference not in (k, other):
-                covariance[k, :, other] = each[reference] + (each[k] if k == other else 0.0)
-    return covariance.reshape(2 * count, 2 * count) * (count - 1) / count
+    each = residual * shared * np.linalg.pinv(normal, rcond=1e-9)
+    return against_reference(each, reference) * (count - 1) / count

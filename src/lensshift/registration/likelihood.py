@@ -8,14 +8,11 @@ from functools import partial
 from itertools import combinations_with_replacement
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.registration.curvature import LEAST_SHARE, Curvature, inverse
 from lensshift.registration.spectrum import Frequencies, Spectrum, Steering, first_spectrum
 from lensshift.registration.taper import Tapered, quiet_flank_px, taper_frames
-
-Shifts = NDArray[np.float64]
 
 _LARGEST_LOG = 7.0  # of a gain, a thousand times: frames without contrast have any
 MAX_STEP_PX = 0.2  # the likelihood is a parabola nearby only
@@ -55,8 +52,8 @@ class ShiftFit:
     """
 
     offset_px: Shifts
-    covariance_px2: NDArray[np.float64]
-    gain: NDArray[np.float64]
+    covariance_px2: Floats
+    gain: Floats
     noise_sigma: float
     converged: bool
 
@@ -67,12 +64,23 @@ class ShiftFit:
         return np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 2)
 
 
+def against_reference(own: Array, reference: int) -> Floats:
+    """Return the covariance of differences from the reference, from [frame 2 2] of each alone."""
+    count = len(own)
+    covariance = np.kron(np.ones((count, count)), own[reference])
+    for k in range(count):
+        covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own[k]
+    covariance[2 * reference : 2 * reference + 2] = 0.0
+    covariance[:, 2 * reference : 2 * reference + 2] = 0.0
+    return covariance
+
+
 @dataclass(slots=True)
 class _State:
     """Where the search stands."""
 
     offset_px: Shifts
-    log_gain: NDArray[np.float64]
+    log_gain: Floats
     spectrum: Spectrum
 
     @property
@@ -83,7 +91,7 @@ class _State:
 
 def likely_shifts(
     frames: Array,
-    valid: NDArray[np.bool_],
+    valid: Mask,
     start_px: Shifts,
     *,
     reference: int = 0,
@@ -134,13 +142,13 @@ def likely_shifts(
 
 def _search(
     frames: Array,
-    valid: NDArray[np.bool_],
+    valid: Mask,
     start_px: Shifts,
     *,
     reference: int,
     photometric: bool,
     max_iterations: int,
-) -> tuple[ShiftFit, float, NDArray[np.float64]]:
+) -> tuple[ShiftFit, float, Floats]:
     """Return the likeliest shifts near a start.
 
     And the share of the information that is left where least is, and the direction [2] in which
@@ -191,7 +199,7 @@ def _search(
     return fit, curvature.least_share, _least_detail(tapered, frequencies)
 
 
-def _least_detail(tapered: Tapered, at: Frequencies) -> NDArray[np.float64]:
+def _least_detail(tapered: Tapered, at: Frequencies) -> Floats:
     """Return the direction [2] in which the frames have least detail: along an edge."""
     middle = at.down.shape[1] // 2  # where the alias is 0
     frequency = np.stack([at.down[:, middle], at.right[:, middle]])

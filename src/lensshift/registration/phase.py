@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Mask, Shifts
 from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.registration.blocks import scatter_over_blocks
 from lensshift.registration.likelihood import ShiftFit
 from lensshift.registration.spectrum import Frequencies
 from lensshift.registration.taper import taper_frames
-
-Shifts = NDArray[np.float64]
 
 # The least error that phase correlation is believed to have.
 PHASE_SIGMA_PX = 0.005
@@ -107,16 +105,14 @@ def phase_shifts(frames: Array, reference: int) -> Shifts:
     return np.stack([phase_correlation(frames[reference], frame) for frame in frames])
 
 
-def phase_fit(
-    frames: Array, valid: NDArray[np.bool_], phase_px: Shifts, reference: int
-) -> ShiftFit:
+def phase_fit(frames: Array, valid: Mask, phase_px: Shifts, reference: int) -> ShiftFit:
     """Return phase correlation with one standard error for all, from parts of the sensor."""
     count = len(frames)
     unit_px = np.ones((count, 2))
     unit_px[reference] = 0.0
 
     # Four parts scatter twice as much as the whole.
-    def estimate(part: Array, part_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
+    def estimate(part: Array, part_valid: Mask) -> tuple[Shifts, Shifts]:
         return phase_shifts(part, reference), 2.0 * PHASE_SIGMA_PX * unit_px
 
     factor = scatter_over_blocks(estimate, frames, valid, phase_px).factor

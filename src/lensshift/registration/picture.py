@@ -6,22 +6,19 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.model import ForwardModel, forward_model
 from lensshift.forward.operator import LinearOperator
 from lensshift.registration.blocks import scatter_over_blocks
-from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit
+from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit, against_reference
 from lensshift.registration.spectrum import PIXEL_SIGMA_PX
 
-Shifts = NDArray[np.float64]
-Places = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Places = Floats
 
 # A grid that holds the first aliases, by which shifts are told apart.
 SCALE = 2
@@ -44,7 +41,7 @@ class Fit(NamedTuple):
     """Where frames lie: [frame (row, col) term] of `_terms`, covariance of each frame alone."""
 
     place_px: Places
-    own: NDArray[np.float64]
+    own: Floats
     noise: float
     settled: bool
 
@@ -80,7 +77,7 @@ def better_shifts(fit: ShiftFit, frames: Array, valid: Mask, reference: int) -> 
     return _widened(fit, excess, reference)
 
 
-def _refuted(error: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+def _refuted(error: Floats, other: Floats) -> bool:
     """Return whether errors of prediction [frame] are more than others, and not by chance."""
     gain = error - other
     chance = float(np.std(gain, ddof=1) / np.sqrt(gain.size))
@@ -138,9 +135,7 @@ def picture_shifts(frames: Array, valid: Mask, start_px: Shifts, *, reference: i
     return replace(found, covariance_px2=found.covariance_px2 * factor**2)
 
 
-def prediction_error(
-    frames: Array, valid: Mask, place_px: Places
-) -> tuple[NDArray[np.float64], Shifts]:
+def prediction_error(frames: Array, valid: Mask, place_px: Places) -> tuple[Floats, Shifts]:
     """Return the mean error [frame] of frames that are predicted from every other one.
 
     And by how much [frame 2] their shifts seem to be off in these pictures.
@@ -186,7 +181,7 @@ def _model(frames: Array, valid: Mask, place_px: Places) -> tuple[ForwardModel, 
     return model, np.where(valid, frames, 0).astype(kind), weight
 
 
-def _terms(shape: tuple[int, ...], number: int) -> NDArray[np.float64]:
+def _terms(shape: tuple[int, ...], number: int) -> Floats:
     """Return 1, row and col [term row col], these -1 to 1 from border to border."""
     row, col = (np.linspace(-1.0, 1.0, size) for size in shape)
     terms = np.broadcast_arrays(1.0, row[:, None], col)
@@ -229,7 +224,7 @@ def step_from(frames: Array, valid: Mask, offset_px: Shifts, terms: int) -> Plac
 
 def _step(
     A: LinearOperator, image: Array, y: Array, weight: Array, terms: int = 1
-) -> tuple[Places, NDArray[np.float64], float]:
+) -> tuple[Places, Floats, float]:
     """Return how far frames [frame 2 term] are off, the covariance of that, and the noise."""
     rest = y - A.forward(image)
     slopes = SCALE * np.stack(
@@ -247,18 +242,5 @@ def _step(
 
 
 def _shifts_of(fit: Fit, reference: int) -> ShiftFit:
-    return ShiftFit(
-        fit.place_px[..., 0], _against(fit.own, reference), np.ones(len(fit.own)), fit.noise,
-        fit.settled,
-    )  # fmt: skip
-
-
-def _against(own: Array, reference: int) -> Shifts:
-    """Return the covariance of differences from the reference, from [frame 2 2] of each alone."""
-    count = len(own)
-    covariance = np.kron(np.ones((count, count)), own[reference])
-    for k in range(count):
-        covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own[k]
-    covariance[2 * reference : 2 * reference + 2] = 0.0
-    covariance[:, 2 * reference : 2 * reference + 2] = 0.0
-    return covariance
+    covariance = against_reference(fit.own, reference)
+    return ShiftFit(fit.place_px[..., 0], covariance, np.ones(len(fit.own)), fit.noise, fit.settled)

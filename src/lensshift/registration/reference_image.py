@@ -6,15 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.core.arrays import Floats
+from lensshift.forward.least_squares import conjugate_gradient
 
 # Knots per pixel, and how stiff the spline is where no pixel says anything. Two hold no edge of a
 # half-filled pixel behind a sharp lens, whose misfit reads as a shift that varies; three do.
 KNOTS_PER_PX = 3
 _STIFFNESS = 1e-3  # of the spline, over the weight of what it is fitted to
-_PASSES = 60  # of conjugate gradients
+_PASSES, _SOLVED = 60, 1e-9**0.5  # of conjugate gradients
 _NUMBERS_AT_ONCE = 50_000  # of the spline in some frames, so that they stay in the cache
 
 
@@ -33,7 +33,7 @@ class ReferenceImage:
 
 
 def reference_image(
-    frames: Floats, weight: Floats, offset_px: NDArray[np.float64], slip_px: Floats | None = None
+    frames: Floats, weight: Floats, offset_px: Floats, slip_px: Floats | None = None
 ) -> ReferenceImage:
     """Fit one cubic spline to all frames.
 
@@ -92,7 +92,7 @@ class _Group:
         return np.asarray(self.rows[0].T @ by_col.transpose(0, 2, 1).reshape(-1, across))
 
 
-def _groups(shape: tuple[int, ...], offset_px: NDArray[np.float64]) -> list[_Group]:
+def _groups(shape: tuple[int, ...], offset_px: Floats) -> list[_Group]:
     from scipy.sparse import block_diag, vstack
 
     count, height, width = shape
@@ -114,7 +114,7 @@ def _groups(shape: tuple[int, ...], offset_px: NDArray[np.float64]) -> list[_Gro
     ]
 
 
-def _splines(size: int, offset_px: float, all_px: NDArray[np.float64]) -> tuple[Any, Any]:
+def _splines(size: int, offset_px: float, all_px: Floats) -> tuple[Any, Any]:
     """Return the cubic B-splines and their derivatives at the pixels of a frame, [pixel knot]."""
     from scipy.sparse import csr_array
 
@@ -156,22 +156,13 @@ def _fitted(frames: Floats, weight: Floats, groups: list[_Group], start: Floats)
             total += one.back(weight[one.part] * one.seen(knots))
         return total
 
-    knots = start.copy()
-    residual = -normal(knots)
+    rest = -normal(start)
     for one in groups:
-        residual += one.back(weight[one.part] * frames[one.part])
-    direction = residual.copy()
-    size = first = float(np.sum(residual**2))
-    for _ in range(_PASSES):
-        if size <= 1e-9 * first:
-            break
-        bent = normal(direction)
-        length = size / float(np.sum(direction * bent))
-        knots += length * direction
-        residual -= length * bent
-        before, size = size, float(np.sum(residual**2))
-        direction = residual + size / before * direction
-    return knots
+        rest += one.back(weight[one.part] * frames[one.part])
+    none, same = np.zeros_like(rest), np.ones(1)
+    return start + conjugate_gradient(
+        normal, rest, none, same, _PASSES, _SOLVED, residual=rest.copy()
+    )
 
 
 def _stiff(knots: Floats) -> Floats:

@@ -11,14 +11,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.core.defects import doubts_about_frames, stuck_pixels
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
 from lensshift.registration.affine import affine_motion, turning
 from lensshift.registration.blocks import (
     LEAST_VALID,
-    Scatter,
     filled,
     likely_where_telling,
     scatter_of_parts,
@@ -38,7 +37,6 @@ from lensshift.registration.picture import (
     better_shifts,
 )
 
-Shifts = NDArray[np.float64]
 Method = Literal["auto", "gradient", "phase"]
 Motion = Literal["auto", "shift", "affine"]
 METHODS: tuple[Method, ...] = ("auto", "gradient", "phase")
@@ -129,11 +127,15 @@ def register(
         if method == "gradient":
             fit = _widened(run, frames, valid, fit)
         else:
-            measured_px = burst.offset_sigma_px if use_given else None
-            told_px = _against_reference(measured_px, reference)
+            told_px = None
+            if use_given and (own_px := burst.offset_sigma_px) is not None:
+                told_px = np.hypot(own_px, own_px[reference])
             alike = _alike(whole, fit, photometric)
             fit = better_shifts(fit, alike, valid, reference)
-            if apart := _scatter_of_few(frames, valid, fit, reference, photometric):
+            # More frames show themselves what moves (`better_shifts`).
+            few = len(frames) < LEAST_PREDICTING
+            told = (frames, valid, fit, reference)
+            if few and (apart := scatter_of_parts(*told, photometric=photometric)):
                 factor = apart.factor
                 fit = replace(fit, covariance_px2=apart.widened(fit.covariance_px2))
             fit = with_given(fit, given_px, told_px, said=known)
@@ -211,18 +213,9 @@ def frames_of(burst: Burst, channel: str) -> Array:
     return frames.astype(kind)
 
 
-def _scatter_of_few(
-    frames: Array, valid: NDArray[np.bool_], fit: ShiftFit, reference: int, photometric: bool
-) -> Scatter | None:
-    """Return how parts scatter; more frames show what moves themselves (`better_shifts`)."""
-    if len(frames) >= LEAST_PREDICTING:
-        return None
-    return scatter_of_parts(frames, valid, fit, reference, photometric=photometric)
-
-
 def _turned(
-    fit: ShiftFit, frames: Array, valid: NDArray[np.bool_], motion: Motion, reference: int
-) -> tuple[ShiftFit, NDArray[np.float64] | None]:
+    fit: ShiftFit, frames: Array, valid: Mask, motion: Motion, reference: int
+) -> tuple[ShiftFit, Floats | None]:
     """Return the fit and how frames turn, if that is asked for or they show it."""
     # Along a single edge frames may lie anywhere, and then turn as they like.
     if motion == "shift" or (motion == "auto" and np.any(fit.sigma_px > UNKNOWN_PX)):
@@ -269,21 +262,8 @@ def _check(burst: Burst, method: str, motion: str, reference: int, use_given: bo
         raise ValueError(f'expected method "auto" with use_given, got {method!r}')
 
 
-def _against_reference(sigma_px: Shifts | None, reference: int) -> Shifts | None:
-    """Return standard deviations of differences from the reference, None if not known."""
-    if sigma_px is None:
-        return None
-    return np.asarray(np.hypot(sigma_px, sigma_px[reference]))
-
-
 def _from_best_start(
-    run: Run,
-    frames: Array,
-    valid: NDArray[np.bool_],
-    given_px: Shifts,
-    phase_px: Shifts,
-    *,
-    keep_given: bool,
+    run: Run, frames: Array, valid: Mask, given_px: Shifts, phase_px: Shifts, *, keep_given: bool
 ) -> ShiftFit:
     """Fit from the given offsets; where phase correlation says otherwise, from both.
 
@@ -307,10 +287,10 @@ def _alike(frames: Array, fit: ShiftFit, photometric: bool) -> Array:
     return np.asarray((frames - level) / fit.gain[:, None, None])
 
 
-def _widened(run: Run, frames: Array, valid: NDArray[np.bool_], fit: ShiftFit) -> ShiftFit:
+def _widened(run: Run, frames: Array, valid: Mask, fit: ShiftFit) -> ShiftFit:
     """Return the fit with errors that the scatter over the sensor and the texture bear out."""
 
-    def estimate(part: Array, part_valid: NDArray[np.bool_]) -> tuple[Shifts, Shifts]:
+    def estimate(part: Array, part_valid: Mask) -> tuple[Shifts, Shifts]:
         found = run(part, part_valid, fit.offset_px, max_iterations=8)
         return found.offset_px, found.sigma_px
 

@@ -7,11 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array
-
-Shifts = NDArray[np.float64]
+from lensshift.core.arrays import Array, Floats, Shifts
 
 # The blur of a square pixel that fills its cell; the power law takes up what differs.
 PIXEL_SIGMA_PX = 0.3
@@ -40,9 +37,9 @@ class Frequencies:
     """
 
     shape: tuple[int, int]
-    down: NDArray[np.float64]
-    right: NDArray[np.float64]
-    weight: NDArray[np.float64]
+    down: Floats
+    right: Floats
+    weight: Floats
     whole_plane: bool
     reach: int
 
@@ -93,7 +90,7 @@ class Frequencies:
             np.exp(2j * np.pi * (base @ offset_px.T)), of_alias, pairs.reshape(len(alias), -1)
         )
 
-    def smoothed(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def smoothed(self, values: Floats) -> Floats:
         """Return the mean over the neighbours of each frequency, aliases included, [f alias]."""
         from scipy.ndimage import uniform_filter
 
@@ -107,7 +104,7 @@ class Frequencies:
             np.add.at(count, place, 1.0)
         total = uniform_filter(total, _NEIGHBOURS, mode="wrap")
         count = uniform_filter(count, _NEIGHBOURS, mode="wrap")
-        found: NDArray[np.float64] = (total / count)[at_row % rows, at_col % cols]
+        found: Floats = (total / count)[at_row % rows, at_col % cols]
         return found
 
 
@@ -158,7 +155,7 @@ class Spectrum:
     log_level: float
     exponent: float
     log_noise: float
-    freedom: NDArray[np.float64]
+    freedom: Floats
 
     @property
     def noise_power(self) -> float:
@@ -166,7 +163,7 @@ class Spectrum:
         return float(np.exp(self.log_noise))
 
     @property
-    def power(self) -> NDArray[np.float64]:
+    def power(self) -> Floats:
         """Power P [frequency alias]."""
         at = self.frequencies
         square = at.down**2 + at.right**2
@@ -174,7 +171,7 @@ class Spectrum:
         law = np.exp(self.log_level - self.exponent * self._log_frequency() - blur)
         return np.asarray(law * self.freedom)
 
-    def _log_frequency(self) -> NDArray[np.float64]:
+    def _log_frequency(self) -> Floats:
         at = self.frequencies
         lowest = 1.0 / max(at.shape)
         return np.asarray(np.log(lowest**2 + at.down**2 + at.right**2))

@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats, Mask, Shifts
 
 if TYPE_CHECKING:
     from lensshift.registration.spectrum import Spectrum, Steering
 
-Shifts = NDArray[np.float64]
 
 # Share of the common length over which a whole taper rises at each end: nothing rises slower that
 # leaves a plateau as long as its flanks.
@@ -40,8 +38,8 @@ class Tapered:
     """
 
     spectra: Array
-    window: NDArray[np.float64]
-    scale: NDArray[np.float64]
+    window: Floats
+    scale: Floats
     expected: Array | None
     inflation: float
 
@@ -59,7 +57,7 @@ class Tapered:
 
 def taper_frames(
     frames: Array,
-    valid: NDArray[np.bool_],
+    valid: Mask,
     offset_px: Shifts,
     *,
     own_mean: bool,
@@ -108,9 +106,7 @@ def taper_frames(
     return Tapered(spectra, window, scale, expected, float(inflation) / max(share, 1e-12))
 
 
-def quiet_flank_px(
-    frames: Array, valid: NDArray[np.bool_], offset_px: Shifts, *, own_mean: bool
-) -> float:
+def quiet_flank_px(frames: Array, valid: Mask, offset_px: Shifts, *, own_mean: bool) -> float:
     """Return the shortest flank that leaks nothing, of 2, 3, 4.5 ... px up to a whole taper.
 
     What a shorter flank adds to the finest frequencies, beyond a third of a cycle per pixel, is
@@ -142,7 +138,7 @@ def quiet_flank_px(
     return np.inf
 
 
-def _axis_window(size: int, offset_px: NDArray[np.float64], flank_px: float) -> NDArray[np.float64]:
+def _axis_window(size: int, offset_px: Floats, flank_px: float) -> Floats:
     """Return the taper [frame size] of one axis."""
     low_px, high_px = float((-0.5 - offset_px).max()), float((size - 0.5 - offset_px).min())
     if high_px - low_px < LEAST_COMMON_PX:

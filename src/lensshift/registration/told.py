@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from lensshift.core.arrays import Array
-from lensshift.registration.blocks import LEAST_VALID, filled, scatter_of_parts, telling_part
+from lensshift.core.arrays import Array, Mask, Shifts
+from lensshift.registration.blocks import LEAST_VALID, scatter_of_parts, telling_part
 from lensshift.registration.likelihood import UNKNOWN_PX, likely_shifts
-
-Shifts = NDArray[np.float64]
 
 # Samples of all frames together that are asked: four frames of 48 x 48 px, for a bounded price.
 # Along an axis at least so many. And so many frames at a time, beside the first.
@@ -42,7 +39,7 @@ class Correction:
     error_px: float
 
 
-def corrected_shifts(frames: Array, valid: NDArray[np.bool_], told_px: Shifts) -> Correction | None:
+def corrected_shifts(frames: Array, valid: Mask, told_px: Shifts) -> Correction | None:
     """Return the shifts as told and as shown weigh together, None if the frames do not object.
 
         d - t = e + n,   e ~ N(0, s^2 P),   n ~ N(0, C),   s by maximum likelihood
@@ -82,9 +79,7 @@ def corrected_shifts(frames: Array, valid: NDArray[np.bool_], told_px: Shifts) -
     )
 
 
-def _told_apart(
-    frames: Array, valid: NDArray[np.bool_], told_px: Shifts
-) -> tuple[Array, Array, Array] | None:
+def _told_apart(frames: Array, valid: Mask, told_px: Shifts) -> tuple[Array, Array, Array] | None:
     """Return likeliest less told shifts along uncorrelated directions, with their variances.
 
     None if the search leaves the place that it started at.
@@ -103,9 +98,7 @@ def _told_apart(
     return direction.T @ away, variance, direction
 
 
-def _likeliest(
-    frames: Array, valid: NDArray[np.bool_], told_px: Shifts
-) -> tuple[Shifts, Array] | None:
+def _likeliest(frames: Array, valid: Mask, told_px: Shifts) -> tuple[Shifts, Array] | None:
     """Return the likeliest shifts near those told, and their covariance; None if not known.
 
     An edge that lies along the pixels looks alike in many places, and all along it: where there is
@@ -117,10 +110,9 @@ def _likeliest(
         return None
     count = len(frames)
     side = max(LEAST_PX, int((MOST_SAMPLES / count) ** 0.5))
-    span_px = np.ceil(np.ptp(told_px, axis=0)).astype(int)
     values = np.where(valid, frames, 0)
     values = values / (np.abs(values).max() or 1.0)
-    part = telling_part(filled(values, valid), *(side + span_px))
+    part = telling_part(values, valid, told_px, side)
     values, seen = values[part], valid[part]
     likeliest_px, covariance = told_px.copy(), np.zeros((2 * count, 2 * count))
     others = np.random.default_rng(0).permutation(np.arange(1, count))  # no line of a pattern

@@ -4,12 +4,3 @@ All of them take real or complex frames with any shifts, leave pixels of weight 
 their value, and follow the half-pixel rule of `core.grid`: HR pixel i of the reference is seen
 by frame k at LR position (i + 1/2) / scale - 1/2 + offset_px[k].
 """
-
-from __future__ import annotations
-
-from lensshift.reconstruction.baselines.accumulate import drizzle_frames, shift_and_add
-from lensshift.reconstruction.baselines.deconvolve import deconvolution
-from lensshift.reconstruction.baselines.interpolate import bicubic, nearest
-from lensshift.reconstruction.baselines.result import Baseline
-
-__all__ = ["Baseline", "bicubic", "deconvolution", "drizzle_frames", "nearest", "shift_and_add"]

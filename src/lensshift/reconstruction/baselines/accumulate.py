@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import sparse
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.grid import lr_to_hr
 from lensshift.reconstruction.baselines.holes import fill_holes
-from lensshift.reconstruction.baselines.result import Baseline, check_frames
+from lensshift.reconstruction.baselines.result import Baseline
 
 # Positions half-way between two HR pixels must not depend on rounding errors of the offset.
 _TIE_HR_PX = 1e-9
@@ -19,9 +20,9 @@ _LEAST_HIT = 1e-6
 
 
 def shift_and_add(
-    frames: ArrayLike,
-    weight: ArrayLike | None,
-    offset_px: ArrayLike,
+    frames: Array,
+    weight: Floats,
+    offset_px: Floats,
     scale: int,
     combine: Literal["mean", "median"] = "mean",
 ) -> Baseline:
@@ -39,19 +40,16 @@ def shift_and_add(
     Raises
     ------
     ValueError
-        As `check_frames`, if there is no such `combine`, or if no sample falls into the image.
+        If no sample falls into the image.
 
     Source: Elad and Hel-Or, IEEE Trans. Image Process. 10 (2001); Farsiu et al., ibid. 13 (2004).
     """
-    values, share, offset = check_frames(frames, weight, offset_px, scale)
-    if combine not in ("mean", "median"):
-        raise ValueError(f"expected combine 'mean' or 'median', got {combine!r}")
-    shape = (values.shape[1] * scale, values.shape[2] * scale)
-    pixel, used = _nearest_hr_pixel(offset, values.shape, scale)
-    used &= share > 0
+    shape = (frames.shape[1] * scale, frames.shape[2] * scale)
+    pixel, used = _nearest_hr_pixel(offset_px, frames.shape, scale)
+    used &= weight > 0
     if not used.any():
         raise ValueError("no valid sample falls into the image; are the offsets in LR pixels?")
-    pixel, sample, share = pixel[used], values[used], share[used]
+    pixel, sample, share = pixel[used], frames[used], weight[used]
     total = _gather(pixel, share, shape)
     hit = total > 0
     divisor = np.where(hit, total, 1.0)
@@ -65,9 +63,9 @@ def shift_and_add(
 
 
 def drizzle_frames(
-    frames: ArrayLike,
-    weight: ArrayLike | None,
-    offset_px: ArrayLike,
+    frames: Array,
+    weight: Floats,
+    offset_px: Floats,
     scale: int,
     pixfrac: float = 0.5,
     kernel: Literal["square", "point"] = "square",
@@ -88,23 +86,17 @@ def drizzle_frames(
     Raises
     ------
     ValueError
-        As `check_frames`, if `pixfrac` or `kernel` is not allowed, or if no pixel falls into
-        the image.
+        If frames are single lines, or no pixel falls into the image.
 
     Source: Fruchter and Hook, Drizzle, PASP 114 (2002).
     """
-    values, share, offset = check_frames(frames, weight, offset_px, scale)
-    if not 0 < pixfrac <= 1:
-        raise ValueError(f"expected a pixfrac in (0, 1], got {pixfrac}")
-    if min(values.shape[1:]) < 2:
-        raise ValueError(f"drizzle expects frames of 2 x 2 pixels or more, got {values.shape[1:]}")
-    if kernel not in ("square", "point"):
-        raise ValueError(f"expected kernel 'square' or 'point', got {kernel!r}")
-    parts = [values.real, values.imag] if np.iscomplexobj(values) else [values]
-    runs = [_drizzle(part, share, offset, scale, pixfrac, kernel) for part in parts]
+    if min(frames.shape[1:]) < 2:
+        raise ValueError(f"drizzle expects frames of 2 x 2 pixels or more, got {frames.shape[1:]}")
+    parts = [frames.real, frames.imag] if np.iscomplexobj(frames) else [frames]
+    runs = [_drizzle(part, weight, offset_px, scale, pixfrac, kernel) for part in parts]
     hit_weight = runs[0][1]
     image = runs[0][0] + 1j * runs[1][0] if len(runs) == 2 else runs[0][0]
-    total, squares = _drop_weights(share, offset, scale, pixfrac, kernel)
+    total, squares = _drop_weights(weight, offset_px, scale, pixfrac, kernel)
     hit = (hit_weight > _LEAST_HIT * hit_weight.max()) & (total > _LEAST_HIT * total.max())
     if not hit.any():
         raise ValueError("no valid pixel falls into the image; are the offsets in LR pixels?")
@@ -115,13 +107,8 @@ def drizzle_frames(
 
 
 def _drizzle(
-    frames: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    offset_px: NDArray[np.float64],
-    scale: int,
-    pixfrac: float,
-    kernel: str,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    frames: Floats, weight: Floats, offset_px: Floats, scale: int, pixfrac: float, kernel: str
+) -> tuple[Floats, Floats]:
     """Run the library; return image (0 where nothing fell) and weight."""
     from drizzle.resample import Drizzle
 
@@ -151,12 +138,8 @@ def _drizzle(
 
 
 def _drop_weights(
-    weight: NDArray[np.float64],
-    offset_px: NDArray[np.float64],
-    scale: int,
-    pixfrac: float,
-    kernel: str,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    weight: Floats, offset_px: Floats, scale: int, pixfrac: float, kernel: str
+) -> tuple[Floats, Floats]:
     """Return the sums over all samples of (share of the drop x weight) and of its square."""
     rows, cols = weight.shape[1:]
     shape = (rows * scale, cols * scale)
@@ -188,8 +171,8 @@ def _overlap(size: int, scale: int, offset_px: float, pixfrac: float) -> sparse.
 
 
 def _nearest_hr_pixel(
-    offset_px: NDArray[np.float64], shape: tuple[int, ...], scale: int
-) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    offset_px: Floats, shape: tuple[int, ...], scale: int
+) -> tuple[NDArray[np.intp], Mask]:
     """Return the flat HR index of every sample [frame row col], and whether it is inside."""
     position: list[NDArray[np.intp]] = []
     for axis in (0, 1):
@@ -203,7 +186,7 @@ def _nearest_hr_pixel(
     return row * cols + col, inside
 
 
-def _gather(pixel: NDArray[np.intp], values: NDArray[Any], shape: tuple[int, int]) -> NDArray[Any]:
+def _gather(pixel: NDArray[np.intp], values: Array, shape: tuple[int, int]) -> Array:
     """Add up the values that fall on each HR pixel."""
     size = shape[0] * shape[1]
     if np.iscomplexobj(values):
@@ -212,9 +195,7 @@ def _gather(pixel: NDArray[np.intp], values: NDArray[Any], shape: tuple[int, int
     return np.bincount(pixel, values, size).reshape(shape)
 
 
-def _median_by_pixel(
-    pixel: NDArray[np.intp], values: NDArray[Any], shape: tuple[int, int]
-) -> NDArray[Any]:
+def _median_by_pixel(pixel: NDArray[np.intp], values: Array, shape: tuple[int, int]) -> Array:
     """Return the median of the values that fall on each HR pixel; 0 where none does."""
     if np.iscomplexobj(values):
         real = _median_by_pixel(pixel, values.real, shape)

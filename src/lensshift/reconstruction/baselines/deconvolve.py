@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.gaussian import MAD_TO_SIGMA
-from lensshift.reconstruction.baselines.interpolate import bicubic
-from lensshift.reconstruction.baselines.result import Baseline, check_frame
+from lensshift.reconstruction.baselines.interpolate import cubic_taps, resampled
+from lensshift.reconstruction.baselines.result import Baseline
 
 Restoration = Literal["wiener", "unsupervised", "richardson-lucy"]
 
@@ -18,18 +18,17 @@ _LEAST_BALANCE = 1e-3
 # Share of the roughness that is taken for detail however noisy the frame.
 _LEAST_DETAIL = 0.05
 # Richardson-Lucy must not divide by less, in units of the largest value.
-_DARK = 1e-6
+_DARK, _ITERATIONS = 1e-6, 20
 
 
 def deconvolution(
-    frame: ArrayLike,
-    weight: ArrayLike | None,
-    offset_px: ArrayLike,
+    frame: Array,
+    weight: Floats,
+    offset_px: Floats,
     scale: int,
     psf_sigma_px: float = 0.3,
     noise_sigma: float | None = None,
     method: Restoration = "wiener",
-    iterations: int = 20,
 ) -> Baseline:
     """Sharpen one bicubically upscaled, shift-aligned frame.
 
@@ -37,7 +36,7 @@ def deconvolution(
 
     with h a Gaussian, L the Laplacian and tau its rms on the upscaled frame y less the share of
     the noise. "unsupervised" lets scikit-image choose the balance (its random numbers are
-    seeded); "richardson-lucy" runs `iterations` and wants values that are not negative.
+    seeded); "richardson-lucy" wants values that are not negative.
     One frame carries no detail beyond its own sampling limit: this only undoes blur.
 
     Parameters
@@ -50,38 +49,27 @@ def deconvolution(
     Raises
     ------
     ValueError
-        As `check_frames`, or if a setting makes no sense for these data.
+        If the width is 0, or Richardson and Lucy's values are negative or complex.
 
     Source: skimage.restoration.
     """
-    values, share, offset = check_frame(frame, weight, offset_px, scale)
-    _check_settings(psf_sigma_px, noise_sigma, method)
-    blurred = bicubic(values[None], share[None], offset[None], scale).image
-    sigma = frame_noise(values, share) if noise_sigma is None else noise_sigma
-    balance = _balance(blurred, offset, scale, sigma)
+    if not psf_sigma_px > 0:
+        raise ValueError(f"expected a positive psf_sigma_px, got {psf_sigma_px}")
+    blurred = resampled(frame, weight, offset_px, scale, cubic_taps).image
+    sigma = frame_noise(frame, weight) if noise_sigma is None else noise_sigma
+    balance = _balance(blurred, offset_px, scale, sigma)
     if not np.iscomplexobj(blurred):
-        return Baseline(_restore(blurred, psf_sigma_px * scale, balance, method, iterations))
+        return Baseline(_restore(blurred, psf_sigma_px * scale, balance, method))
     if method == "richardson-lucy":
         raise ValueError("richardson-lucy wants values that are not negative, got complex")
     real, imag = (
-        _restore(part, psf_sigma_px * scale, balance, method, iterations)
+        _restore(part, psf_sigma_px * scale, balance, method)
         for part in (blurred.real, blurred.imag)
     )
     return Baseline(real + 1j * imag)
 
 
-def _check_settings(psf_sigma_px: float, noise_sigma: float | None, method: str) -> None:
-    if not (np.isfinite(psf_sigma_px) and psf_sigma_px > 0):
-        raise ValueError(f"expected a positive psf_sigma_px, got {psf_sigma_px}")
-    if noise_sigma is not None and not (np.isfinite(noise_sigma) and noise_sigma >= 0):
-        raise ValueError(f"expected a noise_sigma of at least 0, got {noise_sigma}")
-    if method not in ("wiener", "unsupervised", "richardson-lucy"):
-        raise ValueError(
-            f"expected method 'wiener', 'unsupervised' or 'richardson-lucy', got {method!r}"
-        )
-
-
-def frame_noise(frame: NDArray[Any], weight: NDArray[np.float64]) -> float:
+def frame_noise(frame: Array, weight: Floats) -> float:
     """Estimate the noise of a pixel from the 2 x 2 diagonal differences of one frame.
 
         sigma = 1.4826 median |(a - b - c + d) / 2|
@@ -95,12 +83,14 @@ def frame_noise(frame: NDArray[Any], weight: NDArray[np.float64]) -> float:
     whole = used[:-1, :-1] & used[:-1, 1:] & used[1:, :-1] & used[1:, 1:]
     if not whole.any():
         return 0.0
-    cross = 0.5 * (frame[:-1, :-1] - frame[:-1, 1:] - frame[1:, :-1] + frame[1:, 1:])[whole]
+    corners = (frame[:-1, :-1], frame[:-1, 1:], frame[1:, :-1], frame[1:, 1:])
+    a, b, c, d = (corner[whole] for corner in corners)
+    cross = 0.5 * (a - b - c + d)
     parts = np.concatenate((cross.real, cross.imag)) if np.iscomplexobj(cross) else cross
     return MAD_TO_SIGMA * float(np.median(np.abs(parts)))
 
 
-def gaussian_psf(sigma_hr_px: float) -> NDArray[np.float64]:
+def gaussian_psf(sigma_hr_px: float) -> Floats:
     """Return a Gaussian [row col] whose width is right even below one pixel.
 
     It is sampled in frequency, where exp(-2 (pi sigma f)^2) is cut at the Nyquist limit, and not
@@ -112,13 +102,7 @@ def gaussian_psf(sigma_hr_px: float) -> NDArray[np.float64]:
     return np.outer(line, line)
 
 
-def _restore(
-    image: NDArray[np.float64],
-    sigma_hr_px: float,
-    balance: float,
-    method: Restoration,
-    iterations: int,
-) -> NDArray[np.float64]:
+def _restore(image: Floats, sigma_hr_px: float, balance: float, method: Restoration) -> Floats:
     """Deconvolve a real image, with a mirrored margin because the methods are periodic."""
     from skimage import restoration as untyped
 
@@ -137,14 +121,12 @@ def _restore(
         raise ValueError(f"richardson-lucy wants values of at least 0, got {image.min():.3g}")
     else:
         restored = restoration.richardson_lucy(
-            padded, psf, num_iter=iterations, clip=False, filter_epsilon=_DARK
+            padded, psf, num_iter=_ITERATIONS, clip=False, filter_epsilon=_DARK
         )
     return np.asarray(restored[margin:-margin, margin:-margin] * size, dtype=np.float64)
 
 
-def _balance(
-    image: NDArray[Any], offset_px: NDArray[np.float64], scale: int, noise_sigma: float
-) -> float:
+def _balance(image: Array, offset_px: Floats, scale: int, noise_sigma: float) -> float:
     """Return the ratio of noise to detail, sigma^2 / tau^2.
 
     tau^2 is the mean square of the Laplacian of the upscaled image less what the noise adds to
@@ -152,9 +134,10 @@ def _balance(
     """
     from scipy.ndimage import laplace
 
-    impulse = np.zeros((1, 9, 9))
-    impulse[0, 4, 4] = 1.0
-    answer = laplace(bicubic(impulse, None, offset_px[None] % 1.0, scale).image)
+    impulse = np.zeros((9, 9))
+    impulse[4, 4] = 1.0
+    everywhere = np.ones_like(impulse)
+    answer = laplace(resampled(impulse, everywhere, offset_px % 1.0, scale, cubic_taps).image)
     from_noise = noise_sigma**2 * float(np.sum(answer**2)) / scale**2
     components = (image.real, image.imag) if np.iscomplexobj(image) else (image,)
     rough = float(np.mean([np.mean(laplace(part, mode="nearest") ** 2) for part in components]))

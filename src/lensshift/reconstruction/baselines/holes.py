@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
+
+from lensshift.core.arrays import Array, Floats
 
 _FIRST_SIGMA_PX = 0.7
 _REACH = 3.0
 
 
-def fill_holes(
-    image: NDArray[Any], weight: NDArray[np.float64], variance: NDArray[np.float64]
-) -> tuple[NDArray[Any], NDArray[np.float64]]:
+def fill_holes(image: Array, weight: Floats, variance: Floats) -> tuple[Array, Floats]:
     """Fill pixels of weight 0 by normalised convolution; return image and variance.
 
         x = (G * w v) / (G * w),   var x = (G^2 * w^2 var v) / (G * w)^2
@@ -36,7 +33,7 @@ def fill_holes(
 
     hole = weight == 0
     if hole.all():
-        raise ValueError("expected at least one pixel of positive weight to fill the others from")
+        raise ValueError("every pixel has weight 0; nothing is left to use")
     filled, spread = np.where(hole, 0.0, image), np.where(hole, 0.0, variance)
     known, known_variance = weight * filled, weight**2 * spread
     sigma_px = _FIRST_SIGMA_PX
@@ -44,7 +41,7 @@ def fill_holes(
         radius = int(np.ceil(_REACH * sigma_px))
         taps = np.exp(-(np.arange(-radius, radius + 1) ** 2) / (2 * sigma_px**2))
 
-        def smooth(values: NDArray[Any], kernel: NDArray[np.float64]) -> NDArray[Any]:
+        def smooth(values: Array, kernel: Floats) -> Array:
             rows = correlate1d(values, kernel, axis=0, mode="constant")
             return np.asarray(correlate1d(rows, kernel, axis=1, mode="constant"))
 

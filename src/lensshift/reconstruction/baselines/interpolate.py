@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.grid import hr_to_lr
 from lensshift.reconstruction.baselines.holes import fill_holes
-from lensshift.reconstruction.baselines.result import Baseline, check_frame, check_frames
+from lensshift.reconstruction.baselines.result import Baseline
+from lensshift.reconstruction.toolbox.resize import cubic
 
 # Positions half-way between two LR pixels must not depend on rounding errors of the offset.
 _TIE_PX = 1e-9
@@ -19,29 +20,10 @@ _TIE_PX = 1e-9
 Taps = Callable[[int, int, float], sparse.csr_array]
 
 
-def nearest(
-    frame: ArrayLike, weight: ArrayLike | None, offset_px: ArrayLike, scale: int
-) -> Baseline:
-    """Give every HR pixel the value of the LR pixel that it falls on, shift-aligned.
-
-    Parameters
-    ----------
-    frame, weight : [row col]; pixels of weight 0 are filled from their neighbours
-    offset_px : (row, col) of this frame
-
-    Raises
-    ------
-    ValueError
-        As `check_frames`.
-    """
-    values, share, offset = check_frame(frame, weight, offset_px, scale)
-    return _resampled(values, share, offset, scale, nearest_taps)
-
-
 def bicubic(
-    frames: ArrayLike,
-    weight: ArrayLike | None,
-    offset_px: ArrayLike,
+    frames: Array,
+    weight: Floats,
+    offset_px: Floats,
     scale: int,
     combine: Literal["first", "mean", "median"] = "first",
     frame: int = 0,
@@ -56,31 +38,21 @@ def bicubic(
     combine : "first": only the frame of number `frame`; "mean": weighted; "median": of the real
         and of the imaginary part
 
-    Raises
-    ------
-    ValueError
-        As `check_frames`, or if there is no such `combine` or `frame`.
-
     Source: Keys, Cubic convolution interpolation, IEEE Trans. ASSP 29 (1981).
     """
-    values, share, offset = check_frames(frames, weight, offset_px, scale)
     if combine == "first":
-        if not -len(values) <= frame < len(values):
-            raise ValueError(f"expected a frame from 0 to {len(values) - 1}, got {frame}")
-        if not share[frame].any():
+        if not weight[frame].any():
             raise ValueError(f"every pixel of frame {frame} has weight 0; choose another frame")
-        return _resampled(values[frame], share[frame], offset[frame], scale, cubic_taps)
-    if combine not in ("mean", "median"):
-        raise ValueError(f"expected combine 'first', 'mean' or 'median', got {combine!r}")
-    usable = np.flatnonzero(share.any(axis=(1, 2)))
-    parts = [_resampled(values[k], share[k], offset[k], scale, cubic_taps) for k in usable]
+        return resampled(frames[frame], weight[frame], offset_px[frame], scale, cubic_taps)
+    usable = np.flatnonzero(weight.any(axis=(1, 2)))
+    parts = [resampled(frames[k], weight[k], offset_px[k], scale, cubic_taps) for k in usable]
     stack = np.stack([part.image for part in parts])
-    votes = np.stack([_apply(nearest_taps, share[k], offset[k], scale)[0] for k in usable])
+    votes = np.stack([_apply(nearest_taps, weight[k], offset_px[k], scale)[0] for k in usable])
     # Where no frame has a valid pixel, all of them vote with what they were filled with.
     votes[:, ~votes.any(axis=0)] = 1.0
     if combine == "median":
         return Baseline(_median(stack, votes > 0))
-    gain = np.stack([_known(part.noise_gain) for part in parts])
+    gain = np.stack([part.noise_gain for part in parts if part.noise_gain is not None])
     total = votes.sum(axis=0)
     return Baseline(
         (votes * stack).sum(axis=0) / total,
@@ -103,10 +75,7 @@ def cubic_taps(size: int, scale: int, offset_px: float) -> sparse.csr_array:
     at = np.clip(hr_to_lr(np.arange(size * scale), scale) + offset_px, -2.0, size + 1.0)
     first = np.floor(at).astype(np.intp) - 1
     tap = first[:, None] + np.arange(4)
-    d = np.abs(at[:, None] - tap)
-    near = (1.5 * d - 2.5) * d * d + 1.0
-    far = ((-0.5 * d + 2.5) * d - 4.0) * d + 2.0
-    kernel = np.where(d <= 1, near, np.where(d <= 2, far, 0.0))
+    kernel = cubic(at[:, None] - tap)
     row = np.broadcast_to(np.arange(at.size)[:, None], tap.shape)
     matrix = sparse.coo_array(
         (kernel.ravel(), (row.ravel(), np.clip(tap, 0, size - 1).ravel())), shape=(at.size, size)
@@ -115,13 +84,7 @@ def cubic_taps(size: int, scale: int, offset_px: float) -> sparse.csr_array:
     return sparse.csr_array(matrix.tocsr())
 
 
-def _resampled(
-    frame: NDArray[Any],
-    weight: NDArray[np.float64],
-    offset_px: NDArray[np.float64],
-    scale: int,
-    taps: Taps,
-) -> Baseline:
+def resampled(frame: Array, weight: Floats, offset_px: Floats, scale: int, taps: Taps) -> Baseline:
     """Fill the holes of a frame [row col] and resample it, with its noise gain."""
     filled, variance = fill_holes(frame, weight, np.ones(frame.shape))
     image, row, col = _apply(taps, filled, offset_px, scale)
@@ -130,8 +93,8 @@ def _resampled(
 
 
 def _apply(
-    taps: Taps, values: NDArray[Any], offset_px: NDArray[np.float64], scale: int
-) -> tuple[NDArray[Any], sparse.csr_array, sparse.csr_array]:
+    taps: Taps, values: Array, offset_px: Floats, scale: int
+) -> tuple[Array, sparse.csr_array, sparse.csr_array]:
     """Resample values [row col] along both axes; return the matrices too."""
     row, col = (
         taps(size, scale, float(offset))
@@ -140,7 +103,7 @@ def _apply(
     return np.ascontiguousarray((col @ (row @ values).T).T), row, col
 
 
-def _median(stack: NDArray[Any], counted: NDArray[np.bool_]) -> NDArray[Any]:
+def _median(stack: Array, counted: Mask) -> Array:
     """Return the median over axis 0 of the samples that count, of each component."""
     if np.iscomplexobj(stack):
         return _median(stack.real, counted) + 1j * _median(stack.imag, counted)
@@ -149,9 +112,3 @@ def _median(stack: NDArray[Any], counted: NDArray[np.bool_]) -> NDArray[Any]:
     low = np.take_along_axis(ranked, ((count - 1) // 2)[None], axis=0)[0]
     high = np.take_along_axis(ranked, (count // 2)[None], axis=0)[0]
     return np.asarray(0.5 * (low + high))
-
-
-def _known(gain: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    if gain is None:
-        raise TypeError("expected the noise gain of a linear method")
-    return gain

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats, Mask
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.forward.operator import single
 from lensshift.reconstruction.displacement import slopes_of
@@ -54,7 +54,7 @@ def refuted(asked: Asked, found: Solution) -> bool:
     return _usual(squares, used) > 1.0 or (half >= LEAST_HALF_OF_FAR and far > FAR_SHARE)
 
 
-def _squares(asked: Asked, found: Solution, shift_px: float = 0.0) -> NDArray[np.float64]:
+def _squares(asked: Asked, found: Solution, shift_px: float = 0.0) -> Floats:
     """Return [frame row col] squared residuals over the variance of the noise.
 
     Parameters
@@ -68,7 +68,7 @@ def _squares(asked: Asked, found: Solution, shift_px: float = 0.0) -> NDArray[np
     return np.asarray((asked.y - A.forward(image)) ** 2 / variance)
 
 
-def _usual(squares: NDArray[np.float64], used: NDArray[np.bool_]) -> float:
+def _usual(squares: Floats, used: Mask) -> float:
     """Return the variance over that of the noise, of half of the pixels in half of the frames."""
     seen = zip(squares, used, strict=True)
     return float(np.median([np.median(one[there]) for one, there in seen if there.any()])) / (

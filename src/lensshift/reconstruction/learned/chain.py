@@ -16,18 +16,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.learned.kernels import Kernels
 from lensshift.reconstruction.learned.turn import Turn
 
+if TYPE_CHECKING:
+    from lensshift.reconstruction.learned.priors import LearnedPrior
+
 # Of NumPy or of the device, float32; a picture is complex64 for phasors.
 Single = NDArray[np.floating[Any]]
-Picture = NDArray[Any]
+Picture = Array
 
 # The form of the chain that the weights were trained in (training/network.py); not to be tuned.
 START_STEPS, DATA_STEPS = 8, 4
@@ -90,30 +94,6 @@ class Held:
     def one(self, number: int) -> Held:
         """Return that of one of the bursts alone, still with the axis."""
         return self.through(lambda values: values[number : number + 1])
-
-
-class LearnedPrior(Protocol):
-    """What improves a picture: the networks of all stages, and the numbers of the data steps."""
-
-    @property
-    def last_steps(self) -> int:
-        """Data steps after the last stage."""
-        ...
-
-    @property
-    def numbers(self) -> Mapping[str, NDArray[np.float64]]:
-        """Learned numbers of the data steps: lowest eigenvalue, trust, forgive, doubt."""
-        ...
-
-    def improve(
-        self, t: int, state: State, facts: Single, memory: Single | None
-    ) -> tuple[Picture, Single, Single]:
-        """Return x, its standard deviation, and all channels of stage t."""
-        ...
-
-    def spread(self, channels: Single, state: State) -> Single:
-        """Return [burst picture row col], what the last stage says of the error."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,9 +189,7 @@ class Chain:
         """What counts as weight where no frame sees an HR pixel."""
         return LEAST_DENSITY * float(self.y.shape[1]) / self.scale**2
 
-    def start(
-        self, density: Single, numbers: Mapping[str, NDArray[np.float64]]
-    ) -> tuple[Picture, Picture]:
+    def start(self, density: Single, numbers: Mapping[str, Floats]) -> tuple[Picture, Picture]:
         """Return v_0, and the weighted mean of the frames that it was found from."""
 
         def apply(p: Picture) -> Picture:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.forward.model import ForwardModel, Taps
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.learned.network import Network
@@ -39,11 +40,11 @@ class DeviceKernels:
     xp: Any
     device: str
 
-    def there(self, values: NDArray[Any]) -> Array:
+    def there(self, values: Array) -> Array:
         """Return an array on the device."""
         return self.xp.asarray(values, device=self.device)
 
-    def back(self, values: Array) -> NDArray[Any]:
+    def back(self, values: Array) -> Array:
         """Return an array of the device in NumPy."""
         return values if isinstance(values, np.ndarray) else np.asarray(values.cpu())
 
@@ -200,7 +201,7 @@ def _places(taps: Taps) -> NDArray[np.int64]:
     return taps.start[..., None] + np.arange(taps.weight.shape[-1])
 
 
-def _separate(taps: Taps, apart: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _separate(taps: Taps, apart: int) -> tuple[NDArray[np.int64], Floats]:
     """Return index and weight [frame pixel, T], the lines of each frame `apart` from the last."""
     count = taps.weight.shape[-1]
     frame = np.arange(len(taps.start))[:, None, None]
@@ -211,7 +212,7 @@ Table = tuple[Array, Array]  # index and weight [out, n]
 
 
 def _both_ways(
-    on: DeviceKernels, index: NDArray[np.int64], weight: NDArray[np.float64], size: int
+    on: DeviceKernels, index: NDArray[np.int64], weight: Floats, size: int
 ) -> tuple[Table, Table]:
     """Return the table of a gather from `size` places, and that of its adjoint."""
     from scipy.sparse import csr_array

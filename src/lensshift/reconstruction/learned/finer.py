@@ -10,17 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Mask
 from lensshift.core.types import Estimate
 from lensshift.forward.model import ForwardModel
 from lensshift.forward.operator import single
 from lensshift.reconstruction.learned.solver import Asked, Solution
-
-Array = NDArray[Any]
 
 # The finest grid that a sixth of the bursts of the training had; of finer ones it had few.
 FINEST = 4
@@ -63,7 +60,7 @@ def seen_finer(asked: Asked, solve: Callable[[Asked], Solution]) -> Asked | None
     return finer if sure else None
 
 
-def _squares(asked: Asked, out: NDArray[np.bool_], solve: Callable[[Asked], Solution]) -> Array:
+def _squares(asked: Asked, out: Mask, solve: Callable[[Asked], Solution]) -> Array:
     """Return the errors, in units of the noise, of pixels that the picture did not know."""
     known = replace(asked, sigma=np.where(out, np.inf, asked.sigma), on_stage=None)
     rest = np.abs(asked.y - asked.model.operator.forward(single(solve(known).image)))

@@ -6,83 +6,55 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from lensshift.forward.model import ForwardModel
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.learned.network import Network
 
+if TYPE_CHECKING:
+    from lensshift.reconstruction.learned.device import DeviceKernels
+
 Array = Any  # of NumPy or of the device
-
-
-class Kernels(Protocol):
-    """The few things that no array library does alike or fast, and its namespace for the rest."""
-
-    @property
-    def xp(self) -> Any:
-        """What NumPy and the device's library share of the array API."""
-        ...
-
-    def there(self, values: NDArray[Any]) -> Array:
-        """Return an array on the device."""
-        ...
-
-    def back(self, values: Array) -> NDArray[Any]:
-        """Return an array of the device in NumPy."""
-        ...
-
-    def operator(self, model: ForwardModel) -> LinearOperator:
-        """Return A of pictures [burst row col] in single precision; the gain of the model is 1."""
-        ...
-
-    def applied(self, network: Network, seen: Sequence[Array], facts: NDArray[np.float32]) -> Array:
-        """Return the channels [burst row col out] of a network for parts [burst row col ...]."""
-        ...
-
-    def mean_around(self, values: Array, size_px: int) -> Array:
-        """Return the mean over a window [... row col]; beyond the border there are zeros."""
-        ...
 
 
 class Compiled:
     """Numba, NumPy and SciPy, one burst after the other."""
 
-    xp: Any = np
+    xp: Any = np  # what NumPy and the library of a device share of the array API
 
-    def there(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the array."""
+    def there(self, values: Array) -> Array:
+        """Return an array on the device."""
         return values
 
-    def back(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the array."""
+    def back(self, values: Array) -> Array:
+        """Return an array of the device in NumPy."""
         return values
 
     def operator(self, model: ForwardModel) -> LinearOperator:
-        """Return A of pictures [burst row col]."""
+        """Return A of pictures [burst row col] in single precision; the gain of the model is 1."""
         A = model.operator
         return LinearOperator(
             A.in_shape, A.out_shape, lambda x: _each(A.forward, x), lambda y: _each(A.adjoint, y)
         )
 
-    def applied(
-        self, network: Network, seen: Sequence[NDArray[Any]], facts: NDArray[np.float32]
-    ) -> NDArray[Any]:
-        """Return the channels [burst row col out]."""
+    def applied(self, network: Network, seen: Sequence[Array], facts: Array) -> Array:
+        """Return the channels [burst row col out] of a network for parts [burst row col ...]."""
         return _each(lambda *parts: network(parts, facts), *seen)
 
-    def mean_around(self, values: NDArray[Any], size_px: int) -> NDArray[Any]:
-        """Return the mean over a window."""
+    def mean_around(self, values: Array, size_px: int) -> Array:
+        """Return the mean over a window [... row col]; beyond the border there are zeros."""
         sizes = (1,) * (values.ndim - 2) + (size_px, size_px)
         return np.asarray(uniform_filter(values, sizes, mode="constant"))
 
 
 COMPILED = Compiled()
+Kernels: TypeAlias = "Compiled | DeviceKernels"
 
 
-def _each(apply: Callable[..., NDArray[Any]], *batches: NDArray[Any]) -> NDArray[Any]:
+def _each(apply: Callable[..., Array], *batches: Array) -> Array:
     found = [apply(*ones) for ones in zip(*batches, strict=True)]
     return found[0][None] if len(found) == 1 else np.stack(found)

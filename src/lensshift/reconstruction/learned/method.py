@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.types import Estimate, Status
 from lensshift.reconstruction.learned.belief import as_predicted, refuted
 from lensshift.reconstruction.learned.chain import Held
@@ -23,8 +22,6 @@ from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.problem import Problem, blur_width_px
 from lensshift.reconstruction.sharpness import as_sharp_as_most, moments_px2, told
-
-Array = NDArray[Any]
 
 # A frame of which less is believed counts as left out.
 BELIEVED_FRAME = 0.5
@@ -65,7 +62,7 @@ def auto(problem: Problem, request: Request) -> Estimate:
     )
 
 
-def _share_of_noise(problem: Problem, noise: NDArray[np.float64], request: Request) -> float:
+def _share_of_noise(problem: Problem, noise: Floats, request: Request) -> float:
     """Return how much there is of the noise that was read, as the last step of a stream said."""
     memory = request.memory
     share: float | None = None if memory is None else memory.recalled()
@@ -77,9 +74,7 @@ def _share_of_noise(problem: Problem, noise: NDArray[np.float64], request: Reque
     return share
 
 
-def solved(
-    problem: Problem, noise: NDArray[np.float64], request: Request
-) -> tuple[Estimate, NDArray[np.float64]]:
+def solved(problem: Problem, noise: Floats, request: Request) -> tuple[Estimate, Floats]:
     """Solve, let the frames refute it, and solve again with what is believed of them.
 
     Parameters
@@ -143,16 +138,14 @@ def solved(
     return _judged(estimate, wrong, used, request), std
 
 
-def _asked(problem: Problem, noise: NDArray[np.float64]) -> Asked:
+def _asked(problem: Problem, noise: Floats) -> Asked:
     # Of the pixel: the networks have seen few responses that are much wider.
     pixel_px = blur_width_px(problem.model.blur)
     # Distances are no light that pixels average, on which those of the square were trained.
     return Asked(problem.model, problem.y, noise, pixel_px, general=not problem.even_noise)
 
 
-def _on_finer_grid(
-    problem: Problem, noise: NDArray[np.float64], request: Request
-) -> Problem | None:
+def _on_finer_grid(problem: Problem, noise: Floats, request: Request) -> Problem | None:
     """Return the problem with smaller pixels, of which those asked for are the means, or None.
 
     Of phasors only where an HR pixel is an LR pixel: else their light is (`with_finer_amplitude`).
@@ -171,7 +164,7 @@ def _on_finer_grid(
     return replace(problem, model=model) if wanted else None
 
 
-def _weighed(noise: NDArray[np.float64], believed: NDArray[np.float64]) -> NDArray[np.float64]:
+def _weighed(noise: Floats, believed: Floats) -> Floats:
     """Return the noise of pixels of which so much is believed, infinite of those left out."""
     least = np.maximum(believed, LEAST_WEIGHT)
     return np.where(believed > LEAST_WEIGHT, noise / np.sqrt(least), np.inf)
@@ -255,7 +248,7 @@ def _as_they_fit(
     misfit: Misfit,
     run: Callable[[Asked], tuple[Solution, Misfit]],
     request: Request,
-    judging: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    judging: Callable[[Floats], Floats],
 ) -> tuple[Asked, Solution, Misfit, dict[int, Array]]:
     """Return what is asked and found of frames that are not all as sharp or as noisy as told.
 
@@ -277,9 +270,7 @@ def _as_they_fit(
     return asked, found, misfit, shaken
 
 
-def _seen_otherwise(
-    problem: Problem, noise: NDArray[np.float64], misfit: Misfit, request: Request
-) -> Misfit:
+def _seen_otherwise(problem: Problem, noise: Floats, misfit: Misfit, request: Request) -> Misfit:
     """Return the misfit without doubt, if there is a grid on which the frames leave none.
 
     A sample in the middle of four pixels does not see the finest pattern of the grid, and detail
@@ -311,7 +302,7 @@ def _seen_otherwise(
     return misfit
 
 
-def with_shift_errors(sigma: NDArray[np.float64], problem: Problem) -> NDArray[np.float64]:
+def with_shift_errors(sigma: Floats, problem: Problem) -> Floats:
     """Return the noise of each LR pixel with what the errors of the shifts add where it is steep.
 
     sigma^2 + e_k^2 |grad y_k|^2,   e_k the standard deviation of the shift of frame k
@@ -338,9 +329,7 @@ def status_of(found: Solution) -> Status:
     return Status.CONVERGED if found.change < 1.0 else Status.COMPLETE
 
 
-def _judged(
-    estimate: Estimate, wrong: str | None, used: NDArray[np.bool_], request: Request
-) -> Estimate:
+def _judged(estimate: Estimate, wrong: str | None, used: Mask, request: Request) -> Estimate:
     """Note the frames that were not believed, and what contradicts."""
     believed = estimate.confidence if estimate.confidence is not None else used.astype(float)
     trust = np.array([c[u].mean() if u.any() else 1.0 for c, u in zip(believed, used, strict=True)])

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.reconstruction.learned.convolution import convolved, transformed, with_margin
 
 Single = NDArray[np.floating[Any]]  # float32, which NumPy's types lose on the way
@@ -87,7 +88,7 @@ def unfold(channels: Any, shape: tuple[int, ...]) -> Any:
 
 
 @lru_cache
-def learned_weights(name: str) -> tuple[tuple[Network, ...], dict[str, NDArray[np.float64]]]:
+def learned_weights(name: str) -> tuple[tuple[Network, ...], dict[str, Floats]]:
     """Return what was learned and came with the package: networks, numbers of the data steps.
 
     Parameters
@@ -111,7 +112,7 @@ def learned_weights(name: str) -> tuple[tuple[Network, ...], dict[str, NDArray[n
     return _networks_of(arrays)
 
 
-def _forget_level(stored: dict[str, NDArray[Any]]) -> None:
+def _forget_level(stored: dict[str, Array]) -> None:
     """Take off the first layers what half precision left of their answer to an even picture."""
     for name in [one for one in stored if one.startswith("layer_") and one.endswith("_0")]:
         taps = stored[name].astype(np.float64)
@@ -120,9 +121,7 @@ def _forget_level(stored: dict[str, NDArray[Any]]) -> None:
         stored[name] = taps
 
 
-def _networks_of(
-    stored: dict[str, NDArray[Any]],
-) -> tuple[tuple[Network, ...], dict[str, NDArray[np.float64]]]:
+def _networks_of(stored: dict[str, Array]) -> tuple[tuple[Network, ...], dict[str, Floats]]:
     stages: list[Network] = []
     while f"layer_{len(stages)}_0" in stored:
         t = len(stages)

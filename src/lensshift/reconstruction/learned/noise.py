@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.reconstruction.clipping import silent_pixels
 from lensshift.reconstruction.learned.memory import Memory
-from lensshift.reconstruction.noise import estimate_noise, light_of
+from lensshift.reconstruction.noise import light_of
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, noise_law
 from lensshift.reconstruction.problem import Problem, some_pixels
-
-Array = NDArray[Any]
-Mask = NDArray[np.bool_]
 
 # Training went down to noise of 2e-4 (SNR 4000); the median standard deviation of a scene is 0.15:
 # of less the weights have seen nothing, and errors of the model are larger.
@@ -55,7 +51,7 @@ def noise_of(
 
 def noise_map(
     problem: Problem, memory: Memory | None = None, known: NoiseLaw | None = None
-) -> tuple[NoiseLaw, float, NDArray[np.float64]]:
+) -> tuple[NoiseLaw, float, Floats]:
     """Return law, least noise that is believed, and the noise [frame row col] of each LR pixel.
 
     Infinite where a pixel must not be used.
@@ -108,6 +104,4 @@ def _estimated_noise(problem: Problem) -> NoiseLaw:
         )
         if law is not None:
             return law
-    weight = problem.telling_weight
-    sigma = estimate_noise(model.operator, y, weight, even=problem.even_noise).sigma
-    return constant_noise(sigma, ceiling=problem.even_noise)
+    return constant_noise(problem.shown_noise.sigma, ceiling=problem.even_noise)

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 from scipy.special import expit
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.units import within_half_a_turn
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX, WINDOW_PX, slopes_of
@@ -25,8 +25,6 @@ from lensshift.reconstruction.learned.finer import means, seen_finer, std_of_mea
 from lensshift.reconstruction.learned.pooling import pooled_phase
 from lensshift.reconstruction.learned.solver import Asked, Opinion, Solution
 from lensshift.reconstruction.problem import LEAST_SHARE_OF_LIGHT
-
-Array = NDArray[Any]
 
 # Width of a mean, LR pixels, that is left to the frames: some 30 pixels of each. The noise of white
 # frames through 2 g - g * g, g a Gaussian of width s, is this over 4 pi s^2.
@@ -104,7 +102,7 @@ def with_finer_amplitude(
 
 def with_means_of(
     A: LinearOperator, image: Array, y: Array, weight: Array, low_hr_px: float
-) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+) -> tuple[NDArray[np.complex128], Floats]:
     """Return phasors whose local means agree with the frames, and the std that those leave.
 
         x <- x + G A^T W (y - A x) / G A^T W 1,   twice;   G a Gaussian low pass of width s
@@ -138,7 +136,7 @@ def mean_hr_px(scale: int) -> float:
 
 def _second_amplitude(
     asked: Asked, image: Array, std: Array, scale: int, solve: Callable[[Asked], Solution]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Return amplitudes over those of the picture, and their std: the mean over two pictures."""
     light = solve(_along(asked, image)[0])
     a = np.abs(image)
@@ -158,7 +156,7 @@ def _along(asked: Asked, image: Array) -> tuple[Asked, Array]:
 
 def _second_phase(
     asked: Asked, image: Array, std_rad: Array, scale: int, solve: Callable[[Asked], Solution]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Return by what phases differ in the mean over two pictures, and their std in radians.
 
         theta = A phi + arg(y / A x),   s_theta = s / |A x|
@@ -185,9 +183,7 @@ def _second_phase(
     return _mixed(np.zeros_like(apart), apart, p, std_rad**2, variance)
 
 
-def _mixed(
-    x: Array, z: Array, p: Array, of_x: Array, of_z: Array
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _mixed(x: Array, z: Array, p: Array, of_x: Array, of_z: Array) -> tuple[Floats, Floats]:
     """Return the mean over two models, the second as likely as p, and its std.
 
         x' = (1 - w) x + w z,   w = p / t_z^2 / (p / t_z^2 + (1 - p) / t_x^2)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.threads import bands, core_count, on_threads
-
-Array = NDArray[Any]
 
 REACH_HR_PX = 6  # with 8 surfaces are 5 % smoother and edges as good, for twice the time
 WORTH_THREADS = 2**14  # pixels: below, waking a thread takes as long as the work
@@ -23,7 +21,7 @@ def pooled_phase(
     phase_std_rad: Array,
     shared_rad: Array | float = 0.0,
     shared_hr_px: float = 1.0,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Return the phase [row col] of phasors with what alike ones around know, and its std.
 
         w_j = exp(-(phi_j - phi)^2 / 2 S_j - (a_j - a)^2 / 2 (t_j^2 + t^2)) / S_j

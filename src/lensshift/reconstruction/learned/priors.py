@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.reconstruction.learned.chain import Picture, Single, State
 from lensshift.reconstruction.learned.kernels import Kernels
 from lensshift.reconstruction.learned.network import Network, fold, unfold
@@ -20,10 +21,17 @@ CORRELATION_LIMIT = 0.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BrightnessPrior:
-    """For real pictures: what is multiplied or added to all frames comes back in the picture."""
+    """For real pictures: what is multiplied or added to all frames comes back in the picture.
+
+    Parameters
+    ----------
+    stages : the networks
+    numbers : learned for the data steps: lowest eigenvalue, trust, forgive, doubt
+    last_steps : data steps after the last stage
+    """
 
     stages: tuple[Network, ...]
-    numbers: Mapping[str, NDArray[np.float64]]
+    numbers: Mapping[str, Floats]
     last_steps: int = 8
 
     def improve(
@@ -55,7 +63,7 @@ class PhasorPrior:
     """
 
     stages: tuple[Network, ...]
-    numbers: Mapping[str, NDArray[np.float64]]
+    numbers: Mapping[str, Floats]
     last_steps: int = 0
 
     def improve(
@@ -85,6 +93,9 @@ class PhasorPrior:
         both = CORRELATION_LIMIT * xp.tanh(_drawn(channels[..., 20:24], state))
         spread: Single = xp.stack([along, across, both], 1)
         return spread
+
+
+LearnedPrior = BrightnessPrior | PhasorPrior
 
 
 def _applied(

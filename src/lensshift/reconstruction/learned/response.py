@@ -12,20 +12,17 @@ spread of p says so. Pixel and lens are one to it, as in `psf_sigma_px`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.forward.model import ForwardModel
 from lensshift.reconstruction.learned.chain import Chain
 from lensshift.reconstruction.learned.kernels import COMPILED
 from lensshift.reconstruction.learned.network import fold, learned_weights
 from lensshift.reconstruction.learned.solver import facts_of
 from lensshift.reconstruction.learned.turn import turn_of
-
-Array = NDArray[Any]
 
 # Of the form that the weights were trained in (training/response.py); not to be tuned.
 SCALE, ASSUMED_PX, AROUND_HR_PX, VOTE = 2, 0.2, 5, 0.1
@@ -41,7 +38,7 @@ class Response:
     std_px: float
 
 
-def likely_response(model: ForwardModel, y: Array, sigma: NDArray[np.float64]) -> Response:
+def likely_response(model: ForwardModel, y: Array, sigma: Floats) -> Response:
     """Return the mean and the spread of p(w | y).
 
     Parameters
@@ -73,7 +70,7 @@ def known_widths_px() -> tuple[float, float]:
     return float(widths[0]), float(widths[-1])
 
 
-def pictures_of(model: ForwardModel, y: Array, sigma: NDArray[np.float64]) -> list[Array]:
+def pictures_of(model: ForwardModel, y: Array, sigma: Floats) -> list[Array]:
     """Return what the network sees [burst row col] of bursts of one geometry.
 
     The picture without its local mean, what the frames want of it and leave of it, and the noise,

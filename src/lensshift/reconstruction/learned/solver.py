@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Floats
 from lensshift.forward.model import ForwardModel
 from lensshift.reconstruction.learned.chain import (
     TINY,
     Chain,
     Held,
-    LearnedPrior,
     Picture,
     Single,
 )
 from lensshift.reconstruction.learned.kernels import COMPILED, Kernels
 from lensshift.reconstruction.learned.network import learned_weights
-from lensshift.reconstruction.learned.priors import BrightnessPrior, PhasorPrior
+from lensshift.reconstruction.learned.priors import BrightnessPrior, LearnedPrior, PhasorPrior
 from lensshift.reconstruction.learned.turn import turn_of
 
 # So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
@@ -51,9 +51,9 @@ class Opinion:
     std : [2 row col] along and across the phasors, in the units of the frames
     """
 
-    ratio: NDArray[np.float64]
-    twist: NDArray[np.float64]
-    std: NDArray[np.float64]
+    ratio: Floats
+    twist: Floats
+    std: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +73,7 @@ class Solution:
     """
 
     image: NDArray[np.inexact[Any]]
-    std: NDArray[np.float64]
+    std: Floats
     weight: Single
     change: Any
     held: tuple[Held, ...] = ()
@@ -99,7 +99,7 @@ class Asked:
 
     model: ForwardModel
     y: NDArray[np.inexact[Any]]
-    sigma: NDArray[np.float64]
+    sigma: Floats
     blur_px: float
     on_stage: OnStage | None = None
     held: tuple[Held, ...] | None = None
@@ -156,7 +156,7 @@ SolveTogether = Callable[[Sequence[Asked]], list[Solution]]
 def solve(
     model: ForwardModel,
     y: NDArray[np.inexact[Any]],
-    sigma: NDArray[np.float64],
+    sigma: Floats,
     *,
     blur_px: float,
     general: bool = False,
@@ -245,7 +245,7 @@ def _in_tiles(
     prior: LearnedPrior,
     model: ForwardModel,
     y: Picture,
-    sigma: NDArray[np.float64],
+    sigma: Floats,
     blur_px: float,
     on_stage: Callable[[int, Any], None],
     held: tuple[Held, ...] | None,
@@ -259,7 +259,7 @@ def _in_tiles(
     facts = facts_of(blur_px * model.scale, model.scale, y.shape[1])
     turn, shape = turn_of(model.mean_offset_px), (len(y), *model.hr_shape)
     image = np.empty(shape, np.complex128 if y.dtype.kind == "c" else np.float64)
-    spread: list[NDArray[np.float64]] = []
+    spread: list[Floats] = []
     believed, changes, kept = np.empty(y.shape, np.float32), [], []
     for number, (part, inner) in enumerate(_tiles(model.lr_shape, model.scale)):
         frames = (..., *part)

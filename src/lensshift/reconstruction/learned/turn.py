@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Picture = NDArray[Any]
+from lensshift.core.arrays import Array, Floats
+
+Picture = Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class Turn:
         return mirrored
 
 
-def turn_of(offset_px: NDArray[np.float64]) -> Turn:
+def turn_of(offset_px: Floats) -> Turn:
     """Return how to look at frames with these shifts [frame 2]."""
     offset_px = np.round(offset_px, 6)  # far below what a shift can be known to
     signs = []

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import functools
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter, minimum_filter
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Burst, Estimate, ShiftField
+from lensshift.core.types import Burst, Estimate
 from lensshift.core.units import PhaseScale, distance_to_phase
-from lensshift.forward.blur import Blur
 from lensshift.forward.prediction import (
     FramePredictor,
     PhasorPredictor,
@@ -30,8 +32,6 @@ from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, 
 from lensshift.reconstruction.phasor.reach import within_reach
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
-
-Array = NDArray[Any]
 
 METHODS = ("auto", "tikhonov", "tv")
 # Of the pixels: with more of them turned a picture is not shown without a warning.
@@ -58,18 +58,11 @@ class PhasorResult:
 
     amplitude: Estimate
     distance_m: Estimate
-    flying: NDArray[np.bool_]
+    flying: Mask
 
 
 def reconstruct_phasor(
-    burst: Burst,
-    used: tuple[int, ...],
-    scale: int,
-    method: str,
-    request: Request,
-    *,
-    photometric: bool = False,
-    **seen: Any,
+    burst: Burst, method: str, request: Request, seen: Mapping[str, Any]
 ) -> PhasorResult:
     """Reconstruct amplitude and distance of a burst from its phasors.
 
@@ -79,27 +72,23 @@ def reconstruct_phasor(
 
     Parameters
     ----------
-    used : numbers of the frames of `burst` to use
     method : "auto": the learned solver for phasors; "tikhonov" and "tv": the phasor as a complex
         image
-    photometric : not possible here, an error
-    seen : blur, shift_field; noise_sigma of a component of the phasor of an LR pixel, in units of
-        the amplitude; pixel_variance [frame row col], the same squared, of each LR pixel used
+    seen : scale, blur, shift_field; noise_sigma of a component of the phasor of an LR pixel, in
+        units of the amplitude; pixel_variance [frame row col], the same squared, of each pixel used
 
     Raises
     ------
     ValueError
         If the method cannot do it or the burst lacks what it needs.
     """
-    _check(method, request, photometric)
+    _check(method, request)
     if burst.phasors is None:
-        return _one_frequency(burst, used, scale, method, request, **seen)
+        return _one_frequency(burst, method, request, seen)
     each = []
     for z, hz in zip(burst.phasors, burst.frequencies_hz, strict=True):
         one = replace(burst, amplitude=z, modulation_hz=hz, distance_m=None, phasors=None)
-        each.append(
-            _one_frequency(one, used, scale, method, replace(request, std=True, law=None), **seen)
-        )
+        each.append(_one_frequency(one, method, replace(request, std=True, law=None), seen))
     return _agreed(burst.frequencies_hz, each, request)
 
 
@@ -144,35 +133,23 @@ def _agreed(hz: tuple[float, ...], each: list[PhasorResult], request: Request) -
 
 
 def _one_frequency(
-    burst: Burst,
-    used: tuple[int, ...],
-    scale: int,
-    method: str,
-    request: Request,
-    *,
-    blur: Blur,
-    shift_field: ShiftField | None,
-    noise_sigma: float | None,
-    pixel_variance: Array | None,
+    burst: Burst, method: str, request: Request, seen: Mapping[str, Any]
 ) -> PhasorResult:
-    part = burst.select(used)
+    part = burst.select(request.frames)
     frames = polar_frames(part)
-    problem = make_problem(
-        part, frames.phasor, scale, blur=blur, shift_field=shift_field, noise_sigma=noise_sigma,
-        pixel_variance=pixel_variance,
-    )  # fmt: skip
+    problem = make_problem(part, frames.phasor, **seen)
     turned_rad = frames.scale.reference_m * frames.scale.rad_per_m
     problem = replace(problem, phase_rad=turned_rad)
     sigma = noise_map(problem, request.memory, request.law)[2]
-    seen = problem.weight > 0
-    typical = float(np.median(sigma[seen]))
+    used = problem.weight > 0
+    typical = float(np.median(sigma[used]))
     if method == "auto":
         found = _learned(problem, sigma, request)
     else:
-        found = _linear(replace(problem, noise_sigma=float(sigma[seen].min())), method, request)
-    settled = settle_turns(frames, typical * problem.intensity)
-    phase_rad = nearest_turns(np.angle(found.image), settled, seen, problem.offset_px, scale)
-    _warn_of_turns(frames, settled, seen)
+        found = _linear(replace(problem, noise_sigma=float(sigma[used].min())), method, request)
+    settled, phase_rad = settle_turns(frames, typical * problem.intensity), np.angle(found.image)
+    phase_rad = nearest_turns(phase_rad, settled, used, problem.offset_px, problem.scale)
+    _warn_of_turns(frames, settled, used)
     estimate = replace(
         found,
         noise_sigma=typical,
@@ -184,20 +161,22 @@ def _one_frequency(
         },
     )
     seen_as = found.image if found.fine is None else found.fine
-    frame = predictor(burst, problem, used, seen_as * problem.intensity, shift_field)
+    frame = predictor(
+        burst, problem, request.frames, seen_as * problem.intensity, seen["shift_field"]
+    )
     return _result(frame, problem, estimate, phase_rad, frames.scale)
 
 
-def _check(method: str, request: Request, photometric: bool) -> None:
+def _check(method: str, request: Request) -> None:
     if method not in METHODS:
         raise ValueError(
             f"expected a method among {', '.join(METHODS)} for the phasor channel, got {method!r}"
         )
-    if photometric:
+    if request.photometric:
         raise ValueError("photometric estimation expects real frames, not the phasor channel")
 
 
-def _learned(problem: Problem, sigma: NDArray[np.float64], request: Request) -> Estimate:
+def _learned(problem: Problem, sigma: Floats, request: Request) -> Estimate:
     """Return the complex picture with the std [2 row col] of amplitude and phase in radians."""
     found, std = solved(problem, sigma, request)
     amplitude = np.abs(found.image)
@@ -220,7 +199,7 @@ def _linear(problem: Problem, method: str, request: Request) -> Estimate:
     solver = kind(request.prior_weight, **request.options)
     estimate = solver(problem, replace(request, non_negative=False))
 
-    def std() -> NDArray[np.float64]:
+    def std() -> Floats:
         of_component = np.asarray(estimate.std)
         of_phase_rad = of_component / np.maximum(np.abs(estimate.image), 1e-12)
         return np.stack([of_component, np.minimum(of_phase_rad, NO_PHASE_RAD)])
@@ -228,7 +207,7 @@ def _linear(problem: Problem, method: str, request: Request) -> Estimate:
     return replace(estimate, uncertainty=functools.cache(std) if request.std else None)
 
 
-def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: NDArray[np.bool_]) -> None:
+def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: Mask) -> None:
     if settled is frames:
         return
     turned = float(np.mean(np.abs(settled.phase_rad - frames.phase_rad)[used] > np.pi))
@@ -243,11 +222,7 @@ def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: NDArray[np.b
 
 
 def _result(
-    frame: FramePredictor,
-    problem: Problem,
-    found: Estimate,
-    phase_rad: NDArray[np.float64],
-    scale: PhaseScale,
+    frame: FramePredictor, problem: Problem, found: Estimate, phase_rad: Floats, scale: PhaseScale
 ) -> PhasorResult:
     """Bring a complex estimate back to the units of the burst, as amplitude and distance."""
     unit, std = problem.intensity, found.uncertainty
@@ -282,7 +257,7 @@ def _result(
     return PhasorResult(amplitude, distance, flying_pixels(distance_m, noise_m=std_m))
 
 
-def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> NDArray[np.bool_]:
+def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> Mask:
     """Return the pixels [row col] that lie between two surfaces and on neither.
 
         d - near >= q (far - near),   far - d >= q (far - near),   q = 0.2
@@ -299,7 +274,7 @@ def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> NDArray
     """
     image_m = np.asarray(distance_m, np.float64)
     sigma_m = np.broadcast_to(np.asarray(noise_m, np.float64), image_m.shape)
-    near_m, far_m = _of_nine(np.minimum, image_m), _of_nine(np.maximum, image_m)
+    near_m, far_m = minimum_filter(image_m, 3), maximum_filter(image_m, 3)
     large = far_m - near_m > np.maximum(FLYING_SIGMAS * sigma_m, FLYING_STEP * np.abs(near_m))
     flying = large & _between(image_m, near_m, far_m)
     for axis in (0, 1):
@@ -317,16 +292,5 @@ def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> NDArray
     return flying
 
 
-def _of_nine(pick: np.ufunc, image: Array) -> Array:
-    """Return what is picked of each pixel and its neighbours."""
-    for axis in (0, 1):
-        before, found = np.moveaxis(image, axis, 0), image.copy()
-        to = np.moveaxis(found, axis, 0)
-        pick(to[1:], before[:-1], out=to[1:])
-        pick(to[:-1], before[1:], out=to[:-1])
-        image = found
-    return image
-
-
-def _between(image: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+def _between(image: Array, low: Array, high: Array) -> Mask:
     return np.asarray(np.minimum(image - low, high - image) >= FLYING_SHARE * (high - low))

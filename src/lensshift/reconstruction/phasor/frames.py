@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.types import Burst
 from lensshift.core.units import (
     SPEED_OF_LIGHT_MPS,
@@ -16,8 +16,6 @@ from lensshift.core.units import (
     phase_to_distance,
     unambiguous_range_m,
 )
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +29,7 @@ class PhasorFrames:
     """
 
     phasor: NDArray[np.complex128]
-    variance: NDArray[np.float64]
+    variance: Floats
 
 
 def phasor_from_phases(difference: ArrayLike, variance: ArrayLike = 1.0) -> PhasorFrames:
@@ -85,8 +83,8 @@ class PolarFrames:
     scale : how the phases stand for distances
     """
 
-    amplitude: NDArray[np.float64]
-    phase_rad: NDArray[np.float64]
+    amplitude: Floats
+    phase_rad: Floats
     scale: PhaseScale
 
     @property

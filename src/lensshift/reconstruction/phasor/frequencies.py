@@ -10,14 +10,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import permutations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.units import SPEED_OF_LIGHT_MPS, within_half_a_turn
-
-Array = NDArray[Any]
 
 AROUND_HR_PX = 7  # along the window in which surfaces are looked for
 ALIKE = 1.0 / 16.0  # of a turn: what four pixels of one surface may differ by
@@ -41,8 +39,8 @@ class Tones:
     """
 
     hz: tuple[float, ...]
-    phase_rad: NDArray[np.float64]
-    std_rad: NDArray[np.float64]
+    phase_rad: Floats
+    std_rad: Floats
 
     @property
     def turn_m(self) -> float:
@@ -59,16 +57,16 @@ class Tones:
         last = math.ceil(min(repeat_m, high_m) / self.turn_m - 1e-6)
         return range(min(max(math.floor(low_m / self.turn_m), 0), last - 1), last)
 
-    def at(self, where: NDArray[np.bool_]) -> Tones:
+    def at(self, where: Mask) -> Tones:
         """Return some pixels [row col] of the pictures, [frequency pixel]."""
         return Tones(self.hz, self.phase_rad[:, where], self.std_rad[:, where])
 
     @property
-    def sigma_m(self) -> NDArray[np.float64]:
+    def sigma_m(self) -> Floats:
         """Standard deviation [...] of the distance within its turn."""
         return np.asarray(1.0 / np.sqrt(np.sum(self._weight(), axis=0)))
 
-    def in_turn(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def in_turn(self, number: int) -> tuple[Floats, Floats]:
         """Return the distance [...] in a turn of the highest frequency, and its chi-square.
 
             d_n = argmin_d C_n,   C_n = min_d sum_f (phi_f - 4 pi f d / c)^2 / s_f^2
@@ -84,7 +82,7 @@ class Tones:
         chi_square = np.sum(((off_rad - per_m * more_m) / self.std_rad) ** 2, axis=0)
         return tried_m + more_m, chi_square
 
-    def alone(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    def alone(self) -> tuple[Floats, Floats, Mask]:
         """Return the distance [...] that fits all phases best, its chi-square, where it is sure.
 
         It is where the second best turn is worse by 9.
@@ -98,12 +96,12 @@ class Tones:
         return best_m, least, second - least > SURE
 
     @property
-    def rad_per_m(self) -> NDArray[np.float64]:
+    def rad_per_m(self) -> Floats:
         """4 pi f / c, [frequency ...]."""
         per_m = 4.0 * np.pi / SPEED_OF_LIGHT_MPS * np.asarray(self.hz)
         return per_m.reshape(-1, *(1,) * (self.phase_rad.ndim - 1))
 
-    def _weight(self) -> NDArray[np.float64]:
+    def _weight(self) -> Floats:
         return np.asarray((self.rad_per_m / self.std_rad) ** 2)
 
 
@@ -123,7 +121,7 @@ def likelier_order(pictures: Tones) -> tuple[float, ...] | None:
     return best if cost(best) < given / SURE else None
 
 
-def common_distance(pictures: Tones) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     """Return the distance [row col] of all frequencies, and its standard deviation.
 
         n = argmin  C_n / max(1, min C / (F - 1)) + 9 mean_around |d_n - d_around| 2f / c
@@ -182,7 +180,7 @@ def _alike(distance_m: Array, sigma_m: Array, turn_m: float) -> NDArray[np.int_]
     return count
 
 
-def _apart_m(tried_m: Array, distance_m: Array, asked: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _apart_m(tried_m: Array, distance_m: Array, asked: Mask) -> Floats:
     """Return how far [turn pixel] the pixels `asked` would be from their 8 neighbours, the mean."""
     rows, cols = distance_m.shape
     wide_m = np.pad(distance_m, 1, mode="edge")
@@ -193,15 +191,13 @@ def _apart_m(tried_m: Array, distance_m: Array, asked: NDArray[np.bool_]) -> NDA
     return apart_m / len(AROUND)
 
 
-def _least(values: Array, cost: Array) -> NDArray[np.float64]:
+def _least(values: Array, cost: Array) -> Floats:
     """Return the values [pixel] of the turns [turn pixel] that cost least."""
     number = np.argmin(cost, axis=0)[None]
     return np.asarray(np.take_along_axis(values, number, axis=0)[0])
 
 
-def _reach(
-    distance_m: Array, surface: NDArray[np.bool_], margin_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _reach(distance_m: Array, surface: Mask, margin_m: float) -> tuple[Floats, Floats]:
     """Return from where to where [row col] the surfaces around go, any distance where none is."""
     from scipy.ndimage import maximum_filter, minimum_filter
 

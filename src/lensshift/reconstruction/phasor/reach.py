@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.units import within_half_a_turn
-
-Array = NDArray[Any]
 
 WINDOW = (1, 5, 5)  # frame row col, LR pixels
 # What mixes in the frames lies farther apart than its mixtures: one range more on either side.
@@ -18,13 +14,8 @@ MOST_RANGES = 1.5
 
 
 def within_reach(
-    phase_rad: Array,
-    std_rad: Array,
-    y: Array,
-    used: NDArray[np.bool_],
-    offset_px: Array,
-    scale: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    phase_rad: Array, std_rad: Array, y: Array, used: Mask, offset_px: Array, scale: int
+) -> tuple[Floats, Floats]:
     """Return phases [row col] no farther than the frames around allow, and their std.
 
         |phi - (lo + hi) / 2| <= 3/2 (hi - lo),   lo and hi over 5 x 5 LR pixels of each frame
@@ -58,7 +49,7 @@ def within_reach(
     return phase_rad - beyond, np.hypot(std_rad, beyond)
 
 
-def _range_around(phase_rad: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _range_around(phase_rad: Array, seen: Mask) -> tuple[Array, Array]:
     """Return middle and half width [frame row col] of the phases around each pixel of its frame.
 
     Of none -inf. Of the two ways to count, from -pi or from 0, that which does not part them.

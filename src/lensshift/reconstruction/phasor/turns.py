@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.reconstruction.phasor.frames import PolarFrames
-
-Array = NDArray[Any]
 
 WINDOW_PX = 9
 # Cameras compare several modulation frequencies to count the turns; where a phase is as noisy as
@@ -52,8 +49,8 @@ def settle_turns(frames: PolarFrames, noise_sigma: float) -> PolarFrames:
 
 
 def nearest_turns(
-    phase_rad: Array, frames: PolarFrames, used: NDArray[np.bool_], offset_px: Array, scale: int
-) -> NDArray[np.float64]:
+    phase_rad: Array, frames: PolarFrames, used: Mask, offset_px: Array, scale: int
+) -> Floats:
     """Return the phases [row col] of a picture in the turn of the frames around.
 
         n = argmax sum_c cos^2((phi - phi_c) / 2) over the frames' pixels c nearby with turn n
@@ -92,7 +89,7 @@ def nearest_turns(
     return np.asarray(phase_rad + 2.0 * np.pi * most)
 
 
-def _agreed(turns: Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _agreed(turns: Array, known: Mask) -> Mask:
     """Return where [frame row col] frames have the same turns and close pixels have this one too.
 
     One pixel in a few that slips by itself has nobody beside it that did.

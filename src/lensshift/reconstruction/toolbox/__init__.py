@@ -9,9 +9,3 @@ Source: the multi-frame super-resolution code in the SupER benchmark (T. Koehler
 Koehler et al., Robust multiframe super-resolution employing iteratively re-weighted
 minimization, IEEE Trans. Comput. Imaging 2 (2016).
 """
-
-from __future__ import annotations
-
-from lensshift.reconstruction.toolbox.irwsr import irwsr_toolbox
-
-__all__ = ["irwsr_toolbox"]

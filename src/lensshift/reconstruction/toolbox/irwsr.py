@@ -7,18 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate, Status
-from lensshift.reconstruction.toolbox.data import (
-    StepRecord,
-    ToolboxData,
-    ToolboxSettings,
-    Vector,
-    check_data,
-)
 from lensshift.reconstruction.toolbox.objective import (
     MajorisedProblem,
     cross_validate,
@@ -34,17 +27,36 @@ from lensshift.reconstruction.toolbox.weights import (
     prior_weights,
 )
 
-OnIteration = Callable[[int, NDArray[np.float64]], None]
+OnIteration = Callable[[int, Floats], None]
 
 _TOLERANCE = 1e-3
 _CV_VALUES = 20
 
 
+@dataclass(frozen=True, slots=True)
+class StepRecord:
+    """What one majorisation step found.
+
+    Parameters
+    ----------
+    prior_weight : lambda
+    noise_sigma, prior_sigma : scales of the residual and of the sparse transform
+    objective : after the step
+    """
+
+    prior_weight: float
+    noise_sigma: float
+    prior_sigma: float
+    objective: float
+
+
 def irwsr_toolbox(
-    frames: ArrayLike,
-    offset_px: ArrayLike,
+    frames: Floats,
+    offset_px: Floats,
     scale: int,
     psf_sigma_px: float = 0.3,
+    *,
+    confidence: Floats | None = None,
     prior_weight: float | None = None,
     window: int = 1,
     alpha: float = 0.5,
@@ -52,15 +64,11 @@ def irwsr_toolbox(
     seed: int = 0,
     iterations: int = 10,
     inner_iterations: int = 5,
-    gain: ArrayLike | None = None,
-    bias: ArrayLike | None = None,
-    confidence: ArrayLike | None = None,
     on_iteration: OnIteration | None = None,
-) -> Estimate:
+) -> tuple[Estimate, tuple[StepRecord, ...]]:
     """Super-resolve frames as the published IRW-SR toolbox does, defects included.
 
-        min_x  sum beta (y - gain W x - bias)^2
-               + lambda sum_lm alpha^(|l|+|m|) sum a_lm |S_lm x - x|
+        min_x  sum beta (y - W x)^2 + lambda sum_lm alpha^(|l|+|m|) sum a_lm |S_lm x - x|
 
     with the confidence beta, the prior weights a and (without `prior_weight`) lambda estimated
     anew in each of `iterations` steps of `inner_iterations` conjugate gradients, at magnifications
@@ -68,57 +76,45 @@ def irwsr_toolbox(
 
     Parameters
     ----------
-    frames : [frame row col], real; NaN only where `confidence` is 0
+    frames : [frame row col]
     offset_px : [frame 2] (row, col); positive: content moved down / right
     scale, psf_sigma_px : integer upscaling factor; width of the Gaussian PSF
+    confidence : [frame row col] static weight of each pixel; None: 1
     prior_weight : lambda; None: by cross-validation on a split drawn from `seed`
     window, alpha, sparsity : BTV half-width P, its decay, exponent p of the prior weights
-    gain, bias : [frame] or [frame row col] photometric parameters; None: 1 and 0
-    confidence : [frame row col] static weight of each pixel; None: 1
     on_iteration : called with the number of the step (from 1) and the image so far
 
     Raises
     ------
     ValueError
-        If shapes or settings make no sense, or a pixel is not finite and not excluded.
+        If `scale` exceeds the number of steps that climb to it.
 
     Source: toolbox, reweightedOptimizationSR.
     """
-    settings = ToolboxSettings(
-        psf_sigma_px, prior_weight, window, alpha, sparsity, seed, iterations, inner_iterations
-    )
-    data = check_data(frames, offset_px, gain, bias, confidence)
-    return run_toolbox(data, scale, settings, on_iteration)[0]
-
-
-def run_toolbox(
-    data: ToolboxData,
-    scale: int,
-    settings: ToolboxSettings,
-    on_iteration: OnIteration | None = None,
-) -> tuple[Estimate, tuple[StepRecord, ...]]:
-    """Run the outer loop; return the estimate and the record of each step.
-
-    Raises
-    ------
-    ValueError
-        If `scale` is not a positive integer, or exceeds the number of steps that climb to it.
-    """
-    if scale != int(scale) or not 1 <= scale <= settings.iterations:
+    if scale > iterations:
         raise ValueError(
-            f"expected an integer scale from 1 to the {settings.iterations} iterations, "
+            f"expected an integer scale from 1 to the {iterations} iterations, "
             f"one for each magnification on the way, got {scale}"
         )
-    rng = np.random.default_rng(settings.seed)
-    state = _start(data, settings)
+    static = np.ones(frames.shape) if confidence is None else confidence
+    rng = np.random.default_rng(seed)
+    image = temporal_median(frames, offset_px)
+    directions = (2 * window + 1) ** 2 - 1
+    state = _State(
+        image.ravel(), image.shape, static.ravel(), np.ones(directions * image.size), prior_weight,
+        _CV_VALUES if prior_weight is None else 1,
+        stacked_system(image.shape, 1, offset_px, psf_sigma_px),
+    )  # fmt: skip
     records: list[StepRecord] = []
     status = Status.MAX_ITERATIONS
-    for iteration in range(1, settings.iterations + 1):
-        if iteration <= scale:
-            state = _enter_level(state, iteration, data, settings)
+    for iteration in range(1, iterations + 1):
+        if 1 < iteration <= scale:
+            state.enlarge(tuple(n * iteration for n in image.shape), directions)
+            state.system = stacked_system(image.shape, iteration, offset_px, psf_sigma_px)
         before = state.x
-        state, record = _step(state, iteration, data, settings, rng)
-        records.append(record)
+        problem, noise, prior = _reweighted(state, frames, static, window, alpha, sparsity)
+        objective = state.improve(problem, iteration, inner_iterations, rng)
+        records.append(StepRecord(state.prior_weight or 0.0, noise, prior, objective))
         if on_iteration is not None:
             on_iteration(iteration, state.x.reshape(state.shape).copy())
         if not np.isfinite(state.x).all():
@@ -127,150 +123,94 @@ def run_toolbox(
         if iteration > scale and np.abs(before - state.x).max() < _TOLERANCE:
             status = Status.CONVERGED
             break
-    return _estimate(state, records, status, data), tuple(records)
+    return _estimate(state, records, status, frames.shape), tuple(records)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class _State:
     """What the toolbox carries from one majorisation step to the next.
 
     Parameters
     ----------
     x, shape : the estimate as a vector, and its (rows, cols)
-    forward, adjoint : W and its transpose at the current magnification
     confidence : one entry per LR pixel of all frames
     sparsity_weights : [direction row col] flattened
     prior_weight : lambda, None before it has been chosen
     cv_values : how many values the next cross-validation tries; 1: lambda is frozen
+    system : W at the current magnification, and its transpose
     """
 
-    x: Vector
-    shape: tuple[int, int]
-    forward: sparse.csr_array
-    adjoint: sparse.csr_array
-    confidence: Vector
-    sparsity_weights: Vector
+    x: Floats
+    shape: tuple[int, ...]
+    confidence: Floats
+    sparsity_weights: Floats
     prior_weight: float | None
     cv_values: int
+    system: tuple[sparse.csr_array, sparse.csr_array]
 
-
-def _start(data: ToolboxData, settings: ToolboxSettings) -> _State:
-    """Return the temporal median with uniform weights; the system follows with its level."""
-    image = temporal_median(data.frames, data.usable, data.offset_px)
-    empty = sparse.csr_array((0, 0))
-    return _State(
-        x=image.ravel(),
-        shape=data.frame_shape,
-        forward=empty,
-        adjoint=empty,
-        confidence=data.confidence.ravel(),
-        sparsity_weights=np.ones(1),  # stretched to its level
-        prior_weight=settings.prior_weight,
-        cv_values=_CV_VALUES if settings.prior_weight is None else 1,
-    )
-
-
-def _enter_level(state: _State, level: int, data: ToolboxData, settings: ToolboxSettings) -> _State:
-    """Go to magnification `level`: new system matrices, resized estimate and prior weights."""
-    rows, cols = data.frame_shape
-    shape = (rows * level, cols * level)
-    forward, adjoint = stacked_system(
-        data.frame_shape, level, data.offset_px, settings.psf_sigma_px
-    )
-    directions = (2 * settings.window + 1) ** 2 - 1
-    return replace(
-        state,
-        x=resize_bicubic(state.x.reshape(state.shape), shape).ravel(),
-        shape=shape,
-        forward=forward,
-        adjoint=adjoint,
+    def enlarge(self, shape: tuple[int, ...], directions: int) -> None:
+        """Resize the estimate and the weights of the prior."""
+        self.x = resize_bicubic(self.x.reshape(self.shape), shape).ravel()
+        self.shape = shape
         # The toolbox stretches the stacked vector as a whole, across pixels and directions.
-        sparsity_weights=resize_axis(
-            state.sparsity_weights, directions * shape[0] * shape[1], axis=0
-        ),
-    )
+        self.sparsity_weights = resize_axis(self.sparsity_weights, directions * self.x.size, 0)
 
-
-def _step(
-    state: _State,
-    iteration: int,
-    data: ToolboxData,
-    settings: ToolboxSettings,
-    rng: np.random.Generator,
-) -> tuple[_State, StepRecord]:
-    """Re-weight, choose lambda, and improve the estimate."""
-    problem, noise_sigma, prior_sigma = _reweighted(state, data, settings)
-    start, cv_values = state.x, state.cv_values
-    if cv_values > 1:
-        prior_weight, start = cross_validate(
-            problem,
-            state.x,
-            search_weights(state.prior_weight, iteration, cv_values),
-            training_pixels(problem.y.size, rng),
-            settings.inner_iterations,
-        )
-        problem = replace(problem, prior_weight=prior_weight)
-        # MATLAB rounds 2.5 up to 3, Python's round would give 2.
-        cv_values = max(int(0.5 * cv_values + 0.5), 1)
-    x, objective = problem.solve(start, settings.inner_iterations)
-    moved_on = replace(
-        state,
-        x=x,
-        confidence=problem.confidence,
-        sparsity_weights=problem.prior.weights.ravel(),
-        prior_weight=problem.prior_weight,
-        cv_values=cv_values,
-    )
-    record = StepRecord(problem.prior_weight, noise_sigma, prior_sigma, objective)
-    return moved_on, record
+    def improve(
+        self,
+        problem: MajorisedProblem,
+        iteration: int,
+        inner_iterations: int,
+        rng: np.random.Generator,
+    ) -> float:
+        """Choose lambda and improve the estimate; return the objective there."""
+        start = self.x
+        if self.cv_values > 1:
+            weights = search_weights(self.prior_weight, iteration, self.cv_values)
+            training = training_pixels(problem.y.size, rng)
+            chosen, start = cross_validate(problem, start, weights, training, inner_iterations)
+            problem = replace(problem, prior_weight=chosen)
+            # MATLAB rounds 2.5 up to 3, Python's round would give 2.
+            self.cv_values = max(int(0.5 * self.cv_values + 0.5), 1)
+        self.x, objective = problem.solve(start, inner_iterations)
+        self.confidence, self.prior_weight = problem.confidence, problem.prior_weight
+        self.sparsity_weights = problem.prior.weights.ravel()
+        return objective
 
 
 def _reweighted(
-    state: _State, data: ToolboxData, settings: ToolboxSettings
+    state: _State, frames: Floats, static: Floats, window: int, alpha: float, sparsity: float
 ) -> tuple[MajorisedProblem, float, float]:
     """Return the problem with weights from the current estimate, sigma_n and sigma_p."""
-    transformed = sparse_transform(state.x.reshape(state.shape), settings.window, settings.alpha)
-    weights, prior_sigma = prior_weights(
-        transformed.ravel(), state.sparsity_weights, settings.sparsity
-    )
+    transformed = sparse_transform(state.x.reshape(state.shape), window, alpha)
+    weights, prior_sigma = prior_weights(transformed.ravel(), state.sparsity_weights, sparsity)
+    prior = WeightedBtv(state.shape, window, alpha, weights.reshape(transformed.shape))
     problem = MajorisedProblem(
-        y=data.frames.ravel(),
-        gain=data.gain,
-        bias=data.bias,
-        forward=state.forward,
-        adjoint=state.adjoint,
-        confidence=state.confidence,
-        prior=WeightedBtv(
-            state.shape, settings.window, settings.alpha, weights.reshape(transformed.shape)
-        ),
-        prior_weight=0.0 if state.prior_weight is None else state.prior_weight,
+        frames.ravel(), *state.system, state.confidence, prior, state.prior_weight or 0.0
     )
-    count = len(data.frames)
+    by_frame = (len(frames), -1)
     dynamic, noise_sigma = observation_confidence(
-        problem.residual(state.x).reshape(count, -1),
-        state.confidence.reshape(count, -1),
-        data.usable.reshape(count, -1),
+        problem.residual(state.x).reshape(by_frame), state.confidence.reshape(by_frame)
     )
-    confidence = data.confidence.ravel() * dynamic.ravel()
+    confidence = static.ravel() * dynamic.ravel()
     return replace(problem, confidence=confidence), noise_sigma, prior_sigma
 
 
 def _estimate(
-    state: _State, records: list[StepRecord], status: Status, data: ToolboxData
+    state: _State, records: list[StepRecord], status: Status, shape: tuple[int, ...]
 ) -> Estimate:
     """Wrap the final state; warn where the bias test has thrown every frame away."""
     if not state.confidence.any():
         warnings.warn(
-            f"the toolbox rejects all {len(data.frames)} frames: their median residuals exceed "
+            f"the toolbox rejects all {shape[0]} frames: their median residuals exceed "
             f"{BIAS_THRESHOLD}; it expects frames that range over about 0 to 1",
             QualityWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
     return Estimate(
         image=state.x.reshape(state.shape),
         objective=tuple(record.objective for record in records),
         status=status,
-        confidence=state.confidence.reshape(data.frames.shape),
+        confidence=state.confidence.reshape(shape),
         prior_weight=records[-1].prior_weight,
         noise_sigma=records[-1].noise_sigma,
     )

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lensshift.core.arrays import Floats
+from lensshift.reconstruction.quantiles import median_3x3
 
 SMOOTHING = 1e-4
 
@@ -16,38 +18,15 @@ def directions(window: int) -> list[tuple[int, int]]:
     return [(row, col) for row in span for col in span if (row, col) != (0, 0)]
 
 
-def sparse_transform(image: NDArray[np.float64], window: int, alpha: float) -> NDArray[np.float64]:
+def sparse_transform(image: Floats, window: int, alpha: float) -> Floats:
     """Return z [direction row col] = alpha^(|l|+|m|) (S_lm x - x), 3 x 3 median filtered."""
     padded = np.pad(image, window, mode="symmetric")
-    return np.stack(
-        [
-            median_3x3(
-                alpha ** (abs(row) + abs(col))
-                * (_shifted(padded, image.shape, window, row, col) - image)
-            )
-            for row, col in directions(window)
-        ]
-    )
-
-
-# Exchanges of the smallest sorting network that leaves the median of nine in place 4.
-_MEDIAN_OF_NINE = (
-    (1, 2), (4, 5), (7, 8), (0, 1), (3, 4), (6, 7), (1, 2), (4, 5), (7, 8), (0, 3),
-    (5, 8), (4, 7), (3, 6), (1, 4), (2, 5), (4, 7), (4, 2), (6, 4), (4, 2),
-)  # fmt: skip
-
-
-def median_3x3(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the median of every 3 x 3 neighbourhood, zeros outside the image."""
-    rows, cols = image.shape
-    padded = np.pad(image, 1)
-    value = [padded[i : i + rows, j : j + cols].copy() for i in range(3) for j in range(3)]
-    spare = np.empty(image.shape)
-    for low, high in _MEDIAN_OF_NINE:
-        np.minimum(value[low], value[high], out=spare)
-        np.maximum(value[low], value[high], out=value[high])
-        value[low], spare = spare, value[low]
-    return value[4]
+    steps = directions(window)
+    found = np.empty((len(steps), *image.shape))
+    for (row, col), out in zip(steps, found, strict=True):
+        slope = _shifted(padded, image.shape, window, row, col) - image
+        median_3x3(slope, alpha ** (abs(row) + abs(col)), out)
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,70 +48,59 @@ class WeightedBtv:
     Source: btvPriorWeighted and btvPriorWeighted_grad of the toolbox.
     """
 
-    shape: tuple[int, int]
+    shape: tuple[int, ...]
     window: int
     alpha: float
-    weights: NDArray[np.float64]
-    _weights_by_columns: NDArray[np.float64] = field(init=False)
+    weights: Floats
+    _weights_by_columns: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         # The weight vector runs by rows, but `value` of the toolbox reads it by columns.
         misread = self.weights.reshape(-1, *self.shape[::-1]).swapaxes(1, 2)
         object.__setattr__(self, "_weights_by_columns", np.ascontiguousarray(misread))
 
-    def value(self, x: NDArray[np.float64]) -> float:
+    def value(self, x: Floats) -> float:
         """Return R(x)."""
-        image = x.reshape(self.shape)
-        padded = np.pad(image, self.window, mode="symmetric")
-        loss = np.empty(self.shape)
         total = 0.0
-        for (row, col), weight in zip(
-            directions(self.window), self._weights_by_columns, strict=True
-        ):
-            np.subtract(_shifted(padded, self.shape, self.window, row, col), image, out=loss)
-            np.multiply(loss, loss, out=loss)
-            np.add(loss, SMOOTHING, out=loss)
-            np.sqrt(loss, out=loss)
-            total += self.alpha ** (abs(row) + abs(col)) * float(np.einsum("ij,ij", weight, loss))
+        for share, slope, weight in zip(*self._slopes(x), self._weights_by_columns, strict=True):
+            total += share * float(np.einsum("ij,ij", weight, np.sqrt(slope**2 + SMOOTHING)))
         return total
 
-    def gradient(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gradient(self, x: Floats) -> Floats:
         """Return what the toolbox takes for the gradient of R, as a vector."""
+        gradient = np.zeros(self.shape)
+        steps = directions(self.window)
+        for step, share, slope, weight in zip(steps, *self._slopes(x), self.weights, strict=True):
+            term = slope / np.sqrt(slope**2 + SMOOTHING)
+            here, there = _overlap(self.shape, *step)
+            back = term[there].copy()
+            term[here] -= back
+            gradient += term * weight * share
+        return gradient.ravel()
+
+    def _slopes(self, x: Floats) -> tuple[list[float], list[Floats]]:
+        """Return alpha^(|l|+|m|) and x - S_lm x [row col] of each direction."""
         image = x.reshape(self.shape)
         padded = np.pad(image, self.window, mode="symmetric")
-        slope, term, gradient = np.empty(self.shape), np.empty(self.shape), np.zeros(self.shape)
-        for (row, col), weight in zip(directions(self.window), self.weights, strict=True):
-            np.subtract(image, _shifted(padded, self.shape, self.window, row, col), out=slope)
-            np.multiply(slope, slope, out=term)
-            np.add(term, SMOOTHING, out=term)
-            np.sqrt(term, out=term)
-            np.divide(slope, term, out=slope)
-            term[...] = slope
-            here, there = _overlap(self.shape, row, col)
-            term[here] -= slope[there]
-            np.multiply(term, weight, out=term)
-            np.multiply(term, self.alpha ** (abs(row) + abs(col)), out=term)
-            gradient += term
-        return gradient.ravel()
+        steps = directions(self.window)
+        slopes = [image - _shifted(padded, self.shape, self.window, *step) for step in steps]
+        return [self.alpha ** (abs(row) + abs(col)) for row, col in steps], slopes
 
 
 def _overlap(
-    shape: tuple[int, int], row: int, col: int
+    shape: tuple[int, ...], row: int, col: int
 ) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
     """Return the pixels u whose partner u + (row, col) is inside the image, and the partners."""
-    here = tuple(
-        slice(max(-step, 0), size - max(step, 0))
-        for step, size in zip((row, col), shape, strict=True)
-    )
-    there = tuple(
-        slice(max(step, 0), size - max(-step, 0))
-        for step, size in zip((row, col), shape, strict=True)
+    here, there = (
+        tuple(
+            slice(max(-way * step, 0), size - max(way * step, 0))
+            for step, size in zip((row, col), shape, strict=True)
+        )
+        for way in (1, -1)
     )
     return here, there
 
 
-def _shifted(
-    padded: NDArray[np.float64], shape: tuple[int, ...], window: int, row: int, col: int
-) -> NDArray[np.float64]:
+def _shifted(padded: Floats, shape: tuple[int, ...], window: int, row: int, col: int) -> Floats:
     """Return S x with (S x)[i, j] = x[i - row, j - col], cut out of the padded image."""
     return padded[window - row : window - row + shape[0], window - col : window - col + shape[1]]

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lensshift.core.arrays import Floats
 
 
-def cubic(distance_px: NDArray[np.float64]) -> NDArray[np.float64]:
+def cubic(distance_px: Floats) -> Floats:
     """Return the Keys kernel with a = -1/2 at a distance in samples of the stretched grid."""
     d = np.abs(distance_px)
     near = (1.5 * d - 2.5) * d * d + 1.0
@@ -16,7 +17,7 @@ def cubic(distance_px: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(d <= 1, near, np.where(d <= 2, far, 0.0))
 
 
-def resize_axis(values: NDArray[np.float64], size: int, axis: int) -> NDArray[np.float64]:
+def resize_axis(values: Floats, size: int, axis: int) -> Floats:
     """Resize an array along one axis to `size` samples.
 
     The border is mirrored with its edge sample repeated, and the kernel is stretched
@@ -42,7 +43,7 @@ def resize_axis(values: NDArray[np.float64], size: int, axis: int) -> NDArray[np
     return np.moveaxis(resized / total, 0, axis)
 
 
-def resize_bicubic(image: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
+def resize_bicubic(image: Floats, shape: tuple[int, ...]) -> Floats:
     """Resize an image [row col] to `shape`; a = -1/2, antialiased, mirrored border.
 
     Source: MATLAB's documentation of imresize, method bicubic.
@@ -50,31 +51,22 @@ def resize_bicubic(image: NDArray[np.float64], shape: tuple[int, int]) -> NDArra
     return resize_axis(resize_axis(image, shape[0], 0), shape[1], 1)
 
 
-def temporal_median(
-    frames: NDArray[np.float64], usable: NDArray[np.bool_], offset_px: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def temporal_median(frames: Floats, offset_px: Floats) -> Floats:
     """Return the median over the frames [frame row col], each moved back by its offset.
 
     The toolbox moves bilinearly, fills with zeros and leaves samples that are not positive out
-    of the median; a pixel that no frame sees becomes 0. Samples that touch an unusable pixel are
-    left out too.
+    of the median; a pixel that no frame sees becomes 0.
 
     Source: medfilttemp of the toolbox.
     """
-    stack = np.empty(frames.shape)
-    for k, (frame, good) in enumerate(zip(frames, usable, strict=True)):
-        moved = _move_back(np.where(good, frame, 0.0), offset_px[k])
-        if not good.all():
-            touched = _move_back((~good).astype(np.float64), offset_px[k])
-            moved = np.where(touched > 0, 0.0, moved)
-        stack[k] = np.where(moved > 0, moved, np.inf)
-    stack.sort(axis=0)
+    stack = np.stack([_move_back(*pair) for pair in zip(frames, offset_px, strict=True)])
+    stack = np.sort(np.where(stack > 0, stack, np.inf), axis=0)
     count = np.isfinite(stack).sum(axis=0)
     low, high = np.take_along_axis(stack, np.stack([(count - 1) // 2, count // 2]), axis=0)
     return np.where(count > 0, 0.5 * (low + high), 0.0)
 
 
-def _move_back(frame: NDArray[np.float64], offset_px: NDArray[np.float64]) -> NDArray[np.float64]:
+def _move_back(frame: Floats, offset_px: Floats) -> Floats:
     """Sample a frame bilinearly at u + offset; 0 outside the hull of its pixel centres."""
     moved = frame
     for axis in (0, 1):

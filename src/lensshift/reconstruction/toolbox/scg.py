@@ -5,26 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from lensshift.core.arrays import Floats
 
 _STEP = 1e-4
 _SCALE_MIN, _SCALE_MAX = 1e-15, 1e100
 
 
-def dot(a: Vector, b: Vector) -> float:
+def dot(a: Floats, b: Floats) -> float:
     """Return a . b without BLAS, whose threads cost more than the product on images this small."""
     return float(np.einsum("i,i", a, b))
 
 
 def minimise_scg(
-    objective: Callable[[Vector], float],
-    gradient: Callable[[Vector], Vector],
-    x: Vector,
+    objective: Callable[[Floats], float],
+    gradient: Callable[[Floats], Floats],
+    x: Floats,
     iterations: int,
     tolerance: float = 1e-3,
-) -> tuple[Vector, float]:
+) -> tuple[Floats, float]:
     """Minimise a function by scaled conjugate gradients; return the point and its objective.
 
         curvature = d . (g(x + sigma d) - g(x)) / sigma,   sigma = 1e-4 / |d|
@@ -42,13 +41,20 @@ def minimise_scg(
     slope = square = curvature = 0.0
     for _ in range(iterations):
         if success:
-            d, slope = _descent(d, g)
+            slope = dot(d, g)
+            if slope >= 0:  # it does not go down
+                d = -g
+                slope = dot(d, g)
             square = dot(d, d)
             if square < np.finfo(np.float64).eps:
                 break
             sigma = _STEP / np.sqrt(square)
             curvature = dot(d, gradient(x + sigma * d) - g) / sigma
-        step, beta = _step_length(slope, curvature, square, beta)
+        damped = curvature + beta * square
+        if damped <= 0:
+            damped = beta * square
+            beta -= curvature / square
+        step = -slope / damped
         x_new = x + step * d
         f_new = objective(x_new)
         ratio = 2.0 * (f_new - f) / (step * slope)
@@ -61,36 +67,12 @@ def minimise_scg(
             g_old, g = g, gradient(x)
             if not g.any():
                 break
-        beta = _rescaled(beta, ratio)
+        if ratio < 0.25:  # the model was poor
+            beta = min(4.0 * beta, _SCALE_MAX)
+        if ratio > 0.75:
+            beta = max(0.5 * beta, _SCALE_MIN)
         if successes == x.size:
             d, successes = -g, 0
         elif success:
             d = dot(g_old - g, g) / slope * d - g
     return x, f
-
-
-def _descent(d: Vector, g: Vector) -> tuple[Vector, float]:
-    """Return a direction that goes down, steepest descent if `d` does not, and its slope."""
-    slope = dot(d, g)
-    if slope >= 0:
-        d = -g
-        slope = dot(d, g)
-    return d, slope
-
-
-def _step_length(slope: float, curvature: float, square: float, beta: float) -> tuple[float, float]:
-    """Return the step along d and the trust scale, raised where the curvature is not positive."""
-    damped = curvature + beta * square
-    if damped <= 0:
-        damped = beta * square
-        beta -= curvature / square
-    return -slope / damped, beta
-
-
-def _rescaled(beta: float, ratio: float) -> float:
-    """Return the new trust scale: fourfold where the model was poor, half where it was good."""
-    if ratio < 0.25:
-        beta = min(4.0 * beta, _SCALE_MAX)
-    if ratio > 0.75:
-        beta = max(0.5 * beta, _SCALE_MIN)
-    return beta

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
+
+from lensshift.core.arrays import Floats
 
 
 def system_matrix(
-    shape: tuple[int, int], scale: int, offset_px: NDArray[np.float64], psf_sigma_px: float
+    shape: tuple[int, ...], scale: int, offset_px: Floats, psf_sigma_px: float
 ) -> sparse.csr_array:
     """Return W [LR pixel, HR pixel] of one frame, y = W x.
 
@@ -58,7 +59,7 @@ def axis_taps(size: int, scale: int, offset_px: float, psf_sigma_px: float) -> s
 
 
 def stacked_system(
-    shape: tuple[int, int], scale: int, offset_px: NDArray[np.float64], psf_sigma_px: float
+    shape: tuple[int, ...], scale: int, offset_px: Floats, psf_sigma_px: float
 ) -> tuple[sparse.csr_array, sparse.csr_array]:
     """Return W of all frames, one below the other, and its transpose, both by rows."""
     frames = [system_matrix(shape, scale, offset, psf_sigma_px) for offset in offset_px]

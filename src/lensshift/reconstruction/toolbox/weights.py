@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lensshift.core.arrays import Floats
 
 BIAS_THRESHOLD = 0.02
 TUNING = 2.0
@@ -12,7 +13,7 @@ MAD_TO_SIGMA = 1.4826
 _SIGMA_FLOOR = 1e-12
 
 
-def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+def weighted_median(values: Floats, weights: Floats) -> float:
     """Return the first value, in rising order, at which half of the weight is reached.
 
     Some weights may be negative: those of the prior are resized bicubically between levels.
@@ -22,16 +23,12 @@ def weighted_median(values: NDArray[np.float64], weights: NDArray[np.float64]) -
     return float(values[order[int(np.argmax(reached))]])
 
 
-def weighted_mad(values: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+def weighted_mad(values: Floats, weights: Floats) -> float:
     """Return the weighted median of the absolute deviation from the weighted median."""
     return weighted_median(np.abs(values - weighted_median(values, weights)), weights)
 
 
-def observation_confidence(
-    residual: NDArray[np.float64],
-    confidence: NDArray[np.float64],
-    usable: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], float]:
+def observation_confidence(residual: Floats, confidence: Floats) -> tuple[Floats, float]:
     """Return the Huber weight of every residual and the noise scale sigma_n.
 
         beta = b_k min(1, 2 sigma_n / |r|),   b_k = 1 if |median r_k| < 0.02 else 0
@@ -40,17 +37,11 @@ def observation_confidence(
     Parameters
     ----------
     residual, confidence : [frame pixel]; the confidence of the previous iteration
-    usable : [frame pixel] False where there is no observation; it has no say in the medians
 
     Source: estimateHuberObservationWeights of the toolbox.
     """
-    unbiased = np.array(
-        [
-            bool(good.any()) and abs(float(np.median(r[good]))) < BIAS_THRESHOLD
-            for r, good in zip(residual, usable, strict=True)
-        ]
-    )
-    weight = np.where(usable, confidence * unbiased[:, None], 0.0)
+    unbiased = np.abs(np.median(residual, axis=1, keepdims=True)) < BIAS_THRESHOLD
+    weight = confidence * unbiased
     counted = weight > 0
     if not counted.any():
         return np.zeros(residual.shape), float("nan")
@@ -58,12 +49,10 @@ def observation_confidence(
     size = np.abs(residual)
     huber = np.ones(residual.shape)
     np.divide(TUNING * sigma, size, out=huber, where=size > TUNING * sigma)
-    return unbiased[:, None] * huber, sigma
+    return unbiased * huber, sigma
 
 
-def prior_weights(
-    transformed: NDArray[np.float64], previous: NDArray[np.float64], sparsity: float
-) -> tuple[NDArray[np.float64], float]:
+def prior_weights(transformed: Floats, previous: Floats, sparsity: float) -> tuple[Floats, float]:
     """Return the weights of the prior and its scale sigma_p.
 
         a = 1 where |z| <= 2 sigma_p, else p (2 sigma_p)^(1-p) / |z|^(1-p)
