@@ -131,5 +131,5 @@ def test_a_live_view_whose_end_was_cut_short_ends() -> None:
     rng = random.Random(6)
     for _ in range(TIMES):
         live = Live(cast(Source, None))
-        cut_short(live.stop, rng.uniform(1e-4, 3e-4))
-        assert ends(live.stop)
+        cut_short(live.__exit__, rng.uniform(1e-4, 3e-4))
+        assert ends(live.__exit__)

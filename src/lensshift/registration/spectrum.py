@@ -128,7 +128,7 @@ class Steering:
     alias: Array
     pairs: Array
 
-    def summed(self, power: NDArray[np.float64]) -> Array:
+    def summed(self, power: Floats) -> Array:
         """Return sum over m of P b b^H [... f frame frame] for P [... f alias]."""
         count = self.alias.shape[1]
         sums = power @ self.pairs.view(np.float64)  # faster than of complex numbers
