@@ -18,6 +18,7 @@ from lensshift.core.types import Burst, expect_burst
 from lensshift.registration.affine import affine_motion, turning
 from lensshift.registration.blocks import (
     LEAST_VALID,
+    Scatter,
     filled,
     likely_where_telling,
     scatter_of_parts,
@@ -127,15 +128,10 @@ def register(
         if method == "gradient":
             fit = _widened(run, frames, valid, fit)
         else:
-            told_px = None
-            if use_given and (own_px := burst.offset_sigma_px) is not None:
-                told_px = np.hypot(own_px, own_px[reference])
+            told_px = _against_reference(burst.offset_sigma_px if use_given else None, reference)
             alike = _alike(whole, fit, photometric)
             fit = better_shifts(fit, alike, valid, reference)
-            # More frames show themselves what moves (`better_shifts`).
-            few = len(frames) < LEAST_PREDICTING
-            told = (frames, valid, fit, reference)
-            if few and (apart := scatter_of_parts(*told, photometric=photometric)):
+            if apart := _scatter_of_few(frames, valid, fit, reference, photometric):
                 factor = apart.factor
                 fit = replace(fit, covariance_px2=apart.widened(fit.covariance_px2))
             fit = with_given(fit, given_px, told_px, said=known)
@@ -213,6 +209,15 @@ def frames_of(burst: Burst, channel: str) -> Array:
     return frames.astype(kind)
 
 
+def _scatter_of_few(
+    frames: Array, valid: Mask, fit: ShiftFit, reference: int, photometric: bool
+) -> Scatter | None:
+    """Return how parts scatter; more frames show what moves themselves (`better_shifts`)."""
+    if len(frames) >= LEAST_PREDICTING:
+        return None
+    return scatter_of_parts(frames, valid, fit, reference, photometric=photometric)
+
+
 def _turned(
     fit: ShiftFit, frames: Array, valid: Mask, motion: Motion, reference: int
 ) -> tuple[ShiftFit, Floats | None]:
@@ -260,6 +265,11 @@ def _check(burst: Burst, method: str, motion: str, reference: int, use_given: bo
         raise ValueError("the burst has no offset_sigma_px that its offsets could be weighed by")
     if use_given and method != "auto":
         raise ValueError(f'expected method "auto" with use_given, got {method!r}')
+
+
+def _against_reference(sigma_px: Shifts | None, reference: int) -> Shifts | None:
+    """Return standard deviations of differences from the reference, None if not known."""
+    return None if sigma_px is None else np.hypot(sigma_px, sigma_px[reference])
 
 
 def _from_best_start(
