@@ -15,9 +15,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_burst_file import assert_same, make_burst
 
+from lensshift.core.atomic import written_whole
 from lensshift.core.errors import DataError, printable
 from lensshift.io import load_burst, save_burst
-from lensshift.io.atomic import written_whole
 
 Edit = Callable[[h5py.Group], None]
 

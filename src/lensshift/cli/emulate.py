@@ -77,7 +77,7 @@ def rig(current: Session, asked: _RigOptions) -> None:
     """
     from lensshift.capture.emulators.listener import free_udp_port
     from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
-    from lensshift.io.atomic import write_text
+    from lensshift.core.atomic import write_text
     from lensshift.pipeline.experiment_file import named_scene
 
     settings = RigSettings(

@@ -149,7 +149,7 @@ def refuse_overwriting(inputs: Iterable[Path | None], outputs: Iterable[Path]) -
 
 def check_files(inputs: Iterable[Path | None], outputs: Sequence[Path]) -> None:
     """Complain before the work about files that would be overwritten or cannot be written."""
-    from lensshift.io.atomic import writable_target
+    from lensshift.core.atomic import writable_target
 
     refuse_overwriting(inputs, outputs)
     for path in outputs:

@@ -45,7 +45,7 @@ def write_table(current: Session, csv: Path | None, columns: Mapping[str, Any]) 
     """Write columns of one length under their names."""
     if csv is None:
         return
-    from lensshift.io.atomic import written_whole
+    from lensshift.core.atomic import written_whole
 
     rows = zip(*columns.values(), strict=True)
     with written_whole(csv) as part, part.open("w", encoding="utf-8", newline="") as file:

@@ -50,14 +50,6 @@ def read_text(path: str | Path) -> str:
         raise DataError("expected a text file in UTF-8", source=path) from error
 
 
-def write_text(text: str, path: str | Path) -> None:
-    """Write a text in UTF-8; what goes wrong is a `DataError`."""
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
-
-
 def parse_toml(text: str, source: str | Path = "") -> dict[str, Any]:
     """Return the tables of a TOML text; what is wrong with it names line and column."""
     try:

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from lensshift.core.atomic import write_text
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.motion import StageMap
 from lensshift.core.settings import fit, parse_json, read_text, settings_of
-from lensshift.io.atomic import write_text
 
 SCHEMA = "lensshift-calibration/1"
 _PAIRS = ("rest_mm", "play_mm", "play_sigma_mm", "drift_px_per_s", "drift_sigma_px_per_s")

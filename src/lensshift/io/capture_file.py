@@ -24,10 +24,10 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 
 from lensshift.core.arrays import Array
+from lensshift.core.atomic import GrowingFile, writable_target
 from lensshift.core.errors import DataError
 from lensshift.core.settings import parse_json
 from lensshift.core.types import FRAME_FIELDS, Burst
-from lensshift.io.atomic import GrowingFile, writable_target
 from lensshift.io.container_writer import to_json
 from lensshift.io.reading import reading, require_file, unpacked_bytes
 

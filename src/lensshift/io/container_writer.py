@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.atomic import written_whole
 from lensshift.core.errors import DataError, naming
-from lensshift.io.atomic import written_whole
 
 CHUNK_BYTES = 1_000_000  # what HDF5 caches by default
 _LIBVER = ("v110", "v110")

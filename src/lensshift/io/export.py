@@ -8,9 +8,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.atomic import written_whole
 from lensshift.core.intrinsics import points_m
 from lensshift.core.types import FRAME_FIELDS, Burst, Estimate, Reconstruction
-from lensshift.io.atomic import written_whole
 from lensshift.io.container_writer import to_json
 from lensshift.io.image_file import SOFTWARE, TIFF_SUFFIXES
 from lensshift.io.image_formats import export_fits, export_ome, is_fits, is_ome

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lensshift.core.atomic import written_whole
 from lensshift.core.intrinsics import Pinhole
 from lensshift.core.types import Burst, Reconstruction
-from lensshift.io.atomic import written_whole
 from lensshift.io.fits_wcs import astropy_fits, told_wcs
 from lensshift.io.image_file import FITS_SUFFIXES
 from lensshift.io.picture_layers import picture_layers

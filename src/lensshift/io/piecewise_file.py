@@ -17,8 +17,8 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.atomic import GrowingFile, writable_target, written_whole
 from lensshift.core.errors import DataError, naming
-from lensshift.io.atomic import GrowingFile, writable_target, written_whole
 from lensshift.io.capture_file import lock
 from lensshift.io.container_reader import open_container
 from lensshift.io.container_writer import (

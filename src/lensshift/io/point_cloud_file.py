@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.atomic import written_whole
 from lensshift.core.point_cloud import PointCloud
-from lensshift.io.atomic import written_whole
 
 CLOUD_SUFFIXES = (".ply", ".pcd")
 _PLACES = ("x", "y", "z")

@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.atomic import written_whole
 from lensshift.core.errors import DataError, of_extra
 from lensshift.core.intrinsics import Pinhole
 from lensshift.core.point_cloud import PointCloud
 from lensshift.core.types import Reconstruction
-from lensshift.io.atomic import written_whole
 
 STREAM_SUFFIXES = (".mcap", ".rrd")
 _NEEDED = "this format needs a library: pip install "

@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from lensshift.core.atomic import write_text
 from lensshift.core.errors import DataError, about
 from lensshift.core.settings import (
     check_keys,
@@ -16,7 +17,6 @@ from lensshift.core.settings import (
     parse_toml,
     read_text,
     settings_of,
-    write_text,
 )
 from lensshift.optics.glass import Glass, add_glasses, glass_data, is_shipped
 from lensshift.optics.lens import Element, Lens, Stop, Surface
@@ -87,7 +87,7 @@ def save_lens(lens: Lens, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    write_text(format_lens(lens), path)
+    write_text(path, format_lens(lens))
 
 
 def format_lens(lens: Lens) -> str:

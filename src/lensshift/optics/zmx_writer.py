@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from lensshift.core.settings import write_text
+from lensshift.core.atomic import write_text
 from lensshift.optics.glass import REFERENCE_TEMPERATURE_C
 from lensshift.optics.lens import Element, Lens, Surface
 from lensshift.optics.paraxial import entrance_pupil
@@ -29,7 +29,7 @@ def save_zmx(lens: Lens, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    write_text(format_zmx(lens), path)
+    write_text(path, format_zmx(lens))
 
 
 def format_zmx(lens: Lens) -> str:

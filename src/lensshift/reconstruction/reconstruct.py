@@ -135,21 +135,21 @@ def reconstruct(
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
     chosen = make_method(method, options)
     name, own = chosen.name, chosen.settings
-    request = Request(
-        own.pop("prior_weight", None), seed, non_negative, std, photometric, on_iteration, own
-    )
     field = _field_of(burst, shift_field, lens_field)
     response = told_response(burst, psf_sigma_px, fill_factor)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     used = _frame_numbers(burst, frames, field)
-    request = replace(request, frames=used, memory=memory, device=on_device(device, name))
+    request = Request(
+        own.pop("prior_weight", None), seed, non_negative, std, photometric, on_iteration, own,
+        frames=used, shifts_doubted=response["psf_sigma_px"] > QUESTIONED_BLUR_PX, memory=memory,
+        device=on_device(device, name),
+    )  # fmt: skip
     part = burst if frames is None else burst.select(used)
     part = part if memory else _questioned(part, photometric=photometric)
     field = None if field is None else field.select(used)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
-    request = replace(request, shifts_doubted=response["psf_sigma_px"] > QUESTIONED_BLUR_PX)
     asked = (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick)
     told, request = held_against_frames(burst, part, field, scale, request, asked=asked)
     burst, part = told.burst, told.part

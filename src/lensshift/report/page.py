@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lensshift.io.atomic import write_text
+from lensshift.core.atomic import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.io.atomic import written_whole
+from lensshift.core.atomic import written_whole
 
 Shots = Mapping[str, Mapping[str, NDArray[Any]]]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lensshift.io.atomic import writable_target, written_whole
+from lensshift.core.atomic import writable_target, written_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

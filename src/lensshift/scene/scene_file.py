@@ -28,8 +28,9 @@ from typing import Any, TypeVar, get_type_hints
 import numpy as np
 
 from lensshift.core.arrays import Floats
+from lensshift.core.atomic import write_text
 from lensshift.core.errors import DataError, naming
-from lensshift.core.settings import check_keys, fit, parse_toml, read_text, write_text
+from lensshift.core.settings import check_keys, fit, parse_toml, read_text
 from lensshift.scene.checks import number, numbers
 from lensshift.scene.mesh import Mesh, load_mesh
 from lensshift.scene.shapes import Cuboid, Plane, Rectangle, Scene, Shape, Sphere
@@ -99,7 +100,7 @@ def save_scene(scene: Scene, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    write_text(format_scene(scene), path)
+    write_text(path, format_scene(scene))
 
 
 def format_scene(scene: Scene) -> str:

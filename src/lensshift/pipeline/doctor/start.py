@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lensshift.capture.opening import EXAMPLE
+from lensshift.core.atomic import write_text
 from lensshift.core.errors import DataError
-from lensshift.io.atomic import write_text
 
 # USB of the APT controllers (Thorlabs in FTDI's range), and how their serial numbers begin.
 _VENDOR, _PRODUCT = 0x0403, 0xFAF0

@@ -11,8 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from lensshift.core.atomic import write_text
 from lensshift.core.settings import to_json
-from lensshift.io.atomic import write_text
 from lensshift.pipeline.paper.bench import SNR, Response, calibrated_response
 from lensshift.pipeline.paper.beyond import (
     ERRORS_PX,
