@@ -110,7 +110,7 @@ def embedded(figure: Figure, words: str, dpi: int) -> str:
 def _cell(name: str, value: Any) -> str:
     label = f'data-label="{html.escape(str(name))}"'
     if isinstance(value, float):
-        text = "-" if not math.isfinite(value) else f"{value:.3g}"
+        text = "-" if not math.isfinite(value) else f"{value + 0.0:.3g}"
         return f'<td class="number" {label}>{text}</td>'
     if isinstance(value, tuple | list) and all(isinstance(one, float) for one in value):
         return f'<td class="number" {label}>{_range(value)}</td>'
