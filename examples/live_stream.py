@@ -1,8 +1,8 @@
 """Frames one at a time: boxes sharpen while the lens goes round, then another scene appears.
 
 After each frame there is a picture. How it was made, how far it is from the truth and what it cost
-is printed: all stages of the solver while the plan is not complete and once a round, only the last
-stage in between.
+is printed: it is computed while the plan is not complete and once a round, and follows the light of
+the frames in between.
 
     python examples/live_stream.py
 """

@@ -181,7 +181,7 @@ def test_an_error_in_one_burst_is_raised_and_no_thread_is_left(device):
 def test_a_batch_of_none_is_none(device):
     assert reconstruct_batch([], device=device) == reconstruct_batch([]) == []
     with pytest.raises(ValueError, match="do not follow each other"):
-        reconstruct_batch([], memory=None)
+        reconstruct_batch([], streamed=True)
 
 
 @pytest.mark.parametrize("of", [burst_of, phasors_of])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,13 +10,15 @@ from mosaic import canvas, observe, phasor_mosaic
 
 import lensshift
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Frame, Status
+from lensshift.core.grid import Grid
+from lensshift.core.types import Estimate, Frame, Reconstruction, Status
 from lensshift.core.units import distance_to_phase
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
+from lensshift.forward.prediction import FramePredictor
+from lensshift.reconstruction import stream
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
-from lensshift.reconstruction.learned import method
-from lensshift.reconstruction.stream import Stream
+from lensshift.reconstruction.following import View
 
 SHAPE, SCALE = (21, 26), 2
 SQUARE_PX = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, 0.25), (0.25, -0.25)])
@@ -61,25 +62,30 @@ def test_live_pictures_keep_the_doubt_about_the_plan() -> None:
     clean, rng = clean_frames(scene(12).truth), np.random.default_rng(12)
     for plan_px, expected in ((-SQUARE_PX, True), (SQUARE_PX, False)):
         one = lensshift.stream(plan_px, SCALE, shape=SHAPE, pace="live")
-        found = run(one, clean, 8, sigma=0.005, rng=rng)[-4:]
-        assert {picture.settings["pace"] for picture in found} == {"live"}
+        found = run(one, clean, 12, sigma=0.005, rng=rng)[-8:]
+        assert "live" in {picture.settings["pace"] for picture in found}
         doubted = [picture.amplitude.status is Status.CONTRADICTED for picture in found]
-        assert doubted == [expected] * 4
+        assert doubted == [expected] * 8
 
 
-@pytest.mark.parametrize("seed", [12, *(pytest.param(n, marks=pytest.mark.slow) for n in (11, 13))])
-def test_a_resting_scene_is_as_sharp_at_the_live_pace(seed):
-    truth, rng = scene(seed).truth, np.random.default_rng(seed)
-    clean, errors = clean_frames(truth), {}
-    for pace in ("live", "refined", "auto"):
-        found = run(camera(pace=pace), clean, 16, sigma=0.02, rng=rng)
-        errors[pace] = np.mean([error(one, truth) for one in found[8:]])
-        paces = [one.settings["pace"] for one in found[4:]]
-        assert paces == {"live": ["live"] * 12, "refined": ["refined"] * 12}.get(
-            pace, (["live"] * 3 + ["refined"]) * 3
-        )
-    assert errors["live"] < 1.06 * errors["refined"]  # 0.5 dB
-    assert errors["auto"] < 1.06 * errors["refined"]
+@pytest.mark.parametrize("sigma", [0.02, pytest.param(0.005, marks=pytest.mark.slow)])
+def test_a_resting_scene_is_as_sharp_at_the_live_pace(sigma):
+    """Over scenes: each has one picture at that pace, whose error is a matter of luck."""
+    ratios = {"live": [], "auto": []}
+    for seed in range(11, 17):
+        truth, rng = scene(seed).truth, np.random.default_rng(seed)
+        clean, errors = clean_frames(truth), {}
+        for pace in ("live", "refined", "auto"):
+            found = run(camera(pace=pace), clean, 12, sigma=sigma, rng=rng)
+            errors[pace] = np.mean([error(one, truth) for one in found[4:]])
+            paces = [one.settings["pace"] for one in found[4:]]
+            assert paces == {"live": ["live"] * 8, "refined": ["refined"] * 8}.get(
+                pace, (["live"] * 3 + ["refined"]) * 2
+            )
+        for pace, ones in ratios.items():
+            ones.append(errors[pace] / errors["refined"])
+    for ones in ratios.values():
+        assert np.exp(np.mean(np.log(ones))) < 1.06  # 0.5 dB
 
 
 def test_a_large_level_streams_as_well():
@@ -198,18 +204,138 @@ def test_a_frame_that_shows_nothing_is_named_and_left_out(full):
     assert one.step(clean[at], place=at).settings["places"] == [0, 1, 2, 3]
 
 
-def test_the_misfit_of_a_resting_scene_is_found_once_a_round(monkeypatch):
-    """Each frame is held against the picture when it comes."""
-    calls, find = [], method.find_misfit
-    monkeypatch.setattr(method, "find_misfit", lambda *given: calls.append(1) or find(*given))
-    clean, rng, counts = clean_frames(scene(16).truth), np.random.default_rng(1), []
-    one = camera(pace="live")
-    for number in range(16):
-        before = len(calls)
-        found = run(one, clean, 1, sigma=0.02, rng=rng, first=number)[0]
-        counts.append(len(calls) - before)
-        assert found.amplitude.misfit.shape == found.amplitude.image.shape
-    assert counts[4:] == [0, 0, 0, 1] * 3
+def test_a_scene_that_rests_asks_no_solver(monkeypatch):
+    calls, solve = [], stream.reconstruct
+    monkeypatch.setattr(stream, "reconstruct", lambda *a, **k: calls.append(1) or solve(*a, **k))
+    clean, rng = clean_frames(scene(16).truth), np.random.default_rng(1)
+    for pace, expected in (("live", 4), ("auto", 4 + 2)):
+        calls.clear()
+        found = run(camera(pace=pace), clean, 12, sigma=0.02, rng=rng)[-2]
+        assert len(calls) == expected
+        assert (
+            found.amplitude.misfit.shape == found.amplitude.image.shape == found.amplitude.std.shape
+        )
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+def test_light_that_flickers_is_followed_at_once(seed):
+    truth, rng = 0.3 + scene(seed).truth, np.random.default_rng(seed)
+    one, clean = camera(pace="live"), clean_frames(truth)
+    before = run(one, clean, 8, sigma=0.01, rng=rng)[-1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        after = run(one, 1.08 * clean, 1, sigma=0.01, rng=rng)[0]
+    assert after.settings["pace"] == "live"
+    ratio = (after.amplitude.image / before.amplitude.image)[INNER]
+    assert abs(np.median(ratio) - 1.08) < 0.01
+    assert error(after, 1.08 * truth) < 0.5 * error(before, 1.08 * truth)
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_phasors_follow_light_and_distance_at_once(seed):
+    mosaic, rng = phasor_mosaic(seed, SHAPE), np.random.default_rng(seed)
+    one = camera(pace="live", modulation_hz=15e6, channel="phasor")
+    clean = clean_frames(mosaic.truth)
+    before = run(one, clean, 8, sigma=0.1 * mosaic.sigma, rng=rng)[-1]
+    after = run(one, 1.05 * np.exp(0.04j) * clean, 1, sigma=0.1 * mosaic.sigma, rng=rng)[0]
+    assert after.settings["pace"] == "live"
+    ratio = (after.amplitude.image / before.amplitude.image)[INNER]
+    np.testing.assert_allclose(ratio, 1.05, atol=0.01)
+    for found, expected in (
+        (after.distance_m.image, before.distance_m.image),  # of dark surfaces too
+        (after.distance_m.predict(1), before.distance_m.predict(1)),
+    ):
+        turn_rad = np.angle(np.exp(1j * (found - expected) * PER_M))
+        assert np.sqrt(np.mean((turn_rad[INNER] - 0.04) ** 2)) < 0.004
+    np.testing.assert_allclose(
+        after.amplitude.predict(1), 1.05 * before.amplitude.predict(1), rtol=0.01
+    )
+
+
+def views(rest, other):
+    """Return two frames of one place beside a picture of a level, and what they are more."""
+    model = forward_model(rest.shape, 1, np.zeros((1, 2)), blur=GaussianBlur(0.0))
+    valid = np.ones(rest.shape, bool)
+    return (View(model, np.ones(rest.shape), one, valid, 0.1) for one in (rest, other))
+
+
+@pytest.mark.parametrize(("size", "left"), [(1.0, 0.0), (0.4, 0.0), (-1.0, -1.0), (1.5, 0.5)])
+def test_what_was_left_before_is_no_news(size, left):
+    """As much of it as is seen again, but no more than there was and none turned round."""
+    rest = np.random.default_rng(1).standard_normal((9, 14))
+    new, old = views(size * rest, rest)
+    np.testing.assert_allclose(new.since(old).rest, left * rest, atol=1e-12)
+
+
+def test_noise_of_the_frame_before_is_not_taken_off():
+    rng = np.random.default_rng(2)
+    new, old = views(*rng.standard_normal((2, 60, 80)))
+    assert np.std(new.since(old).rest - new.rest) < 0.2
+
+
+@pytest.mark.parametrize("size", [1e-3, 0.3, -0.5])
+def test_a_change_of_level_is_that_change_and_leaves_nothing(size):
+    new, _ = views(np.full((9, 14), size), np.zeros((9, 14)))
+    np.testing.assert_allclose(new.change, size)
+    np.testing.assert_allclose(new.without(new.change).rest, 0, atol=1e-12)
+
+
+def test_gains_of_the_frames_and_a_least_of_zero_hold_for_what_follows():
+    """Frames of other gains, a scene with black in it, and less light in the last frame."""
+    truth, rng = np.maximum(scene(25).truth - 0.4, 0), np.random.default_rng(5)
+    clean = clean_frames(truth)
+    clean[1] *= 1.3
+    one = camera(pace="live", photometric=True, non_negative=True)
+    before = run(one, clean, 8, sigma=0.01, rng=rng)[-1]
+    dim = clean - 0.1
+    after = one.step(dim[0] + 0.01 * rng.standard_normal(SHAPE))
+    assert after.settings["pace"] == "live"
+    assert after.amplitude.image.min() == 0
+    bright = before.amplitude.image > 0.3
+    bright[:4], bright[-4:] = False, False
+    gain = before.amplitude.predict.gain[0]
+    fell = (after.amplitude.image - before.amplitude.image)[bright]
+    assert abs(np.median(fell) * gain + 0.1) < 0.01
+
+
+def test_a_frame_without_distances_is_computed():
+    mosaic, rng = phasor_mosaic(3, SHAPE), np.random.default_rng(0)
+    one = camera(pace="live", modulation_hz=15e6)
+    clean = clean_frames(mosaic.truth)
+    run(one, clean, 6, sigma=mosaic.sigma, rng=rng)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        found = one.step(np.abs(clean[2]), place=2)
+    assert found.settings["pace"] == "refined"
+    assert found.settings["event"] is None
+
+
+def test_a_picture_asked_for_twice_is_the_same():
+    one = camera(pace="live", modulation_hz=15e6, channel="phasor")
+    clean, rng = clean_frames(phasor_mosaic(3, SHAPE).truth), np.random.default_rng(0)
+    first = run(one, clean, 6, sigma=1e-3, rng=rng)[-1]
+    np.testing.assert_array_equal(one.picture().amplitude.image, first.amplitude.image)
+
+
+def test_distances_alone_are_held_against_the_picture_as_well():
+    before, after = 5 + scene(31).truth, 5 + scene(32).truth
+    one = lensshift.stream(
+        lensshift.Burst.from_arrays(
+            np.ones((4, *SHAPE)), np.ones((4, *SHAPE)), offset_px=SQUARE_PX, pitch_mm=1.0
+        ),
+        channel="distance", psf_sigma_px=SQUARE_PIXEL_PX, pace="live",
+    )  # fmt: skip
+    valid, rng = np.ones(SHAPE, bool), np.random.default_rng(3)
+    found = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        for truth in (before, after):
+            for y in (*clean_frames(truth), *clean_frames(truth)):
+                noisy = y + 0.01 * rng.standard_normal(SHAPE)
+                found.append(one.step(Frame(np.ones(SHAPE), noisy, valid, 0.0)))
+    assert found[7].settings["pace"] == "live"
+    assert found[8].settings["event"] == "scene changed"
+    assert np.sqrt(np.mean((found[-1].distance_m.image - after)[INNER] ** 2)) < 0.05
 
 
 def test_something_that_moves_is_computed_anew_and_said():
@@ -257,25 +383,29 @@ def test_frames_with_holes_and_distances_and_a_burst_as_plan():
     assert np.sqrt(np.mean(error_m**2)) < 0.5 * np.std(distance_m)
 
 
-def stream_that_expects(expected, noise):
-    """Return a stream whose picture predicts that frame, as the last one of place 2 was."""
-    template = lensshift.Burst.from_arrays(
-        np.zeros((4, *expected.shape)), offset_px=SQUARE_PX, pitch_mm=0.1
+def known(expected, noise):
+    """Return a picture that predicts that frame at its only place, as the last one there was."""
+    predict = FramePredictor(
+        expected, 1, GaussianBlur(0.0), np.zeros((1, 2)), np.ones(1), np.zeros(1)
     )
-    one = Stream(template, SCALE, "auto", {})
-    picture = SimpleNamespace(predict=lambda offset_px: expected, noise_sigma=noise)
-    one._result = SimpleNamespace(amplitude=picture)
-    one._frames[2] = Frame(expected, None, np.ones(expected.shape, bool), 0.0)
-    return one
+    light = Estimate(expected, noise_sigma=noise, predict=predict)
+    found = Reconstruction(light, None, Grid(expected.shape, (1.0, 1.0)), 1, "auto")
+    frame = Frame(expected, None, np.ones(expected.shape, bool), 0.0)
+    return stream._Known(found, {2: frame}, found)
 
 
 @pytest.mark.parametrize(("shape", "counted"), [((1, 9), 9), ((14, 2), 28), ((3, 9), 7)])
 def test_narrow_frames_count_as_a_whole_and_others_without_their_border(shape, counted):
-    one, valid = stream_that_expects(np.ones(shape), 0.02), np.ones(shape, bool)
+    """Of a chequerboard; a level would be light that flickers."""
+    one, valid = known(np.ones(shape), 0.02), np.ones(shape, bool)
+    board = (-1.0) ** np.add.outer(*map(np.arange, shape))
     for size, share in ((0.0, 0.0), (0.5, 1.0)):
-        share_seen, squares = one._seen(Frame(np.full(shape, 1.0 + size), None, valid, 0.0), 2)
+        _, share_seen, squares = one.against(Frame(1 + size * board, None, valid, 0.0), 2)
         assert share_seen == share
-        assert squares == pytest.approx(counted * size**2)
+        assert squares == pytest.approx(counted * size**2, rel=0.1)
+    _, share_seen, squares = one.against(Frame(np.full(shape, 1.5), None, valid, 0.0), 2)
+    assert share_seen == 0
+    assert squares < 1e-20
 
 
 @pytest.mark.parametrize(("shape", "inside"), [((3, 14), 3), ((9, 12), 6)])
@@ -283,16 +413,16 @@ def test_narrow_frames_count_as_a_whole_and_others_without_their_border(shape, c
 def test_one_pixel_contradicts_in_all_around_but_the_border(shape, inside, slope):
     """Beyond four variances in the mean of nine; along a slope some of a shift is allowed."""
     noise = 0.02
-    expected = slope * np.arange(shape[1]) + np.zeros(shape)
-    one, valid = stream_that_expects(expected, noise), np.ones(shape, bool)
+    expected = slope * np.arange(shape[1]) + np.ones(shape)
+    one, valid = known(expected, noise), np.ones(shape, bool)
     least = 6 * np.hypot(noise, ALLOWED_SHIFT_PX * slope)
-    for size, contradict in ((0.99 * least, 0), (1.01 * least, inside)):
+    for size, contradict in ((0.95 * least, 0), (1.2 * least, inside)):
         y = expected.copy()
         y[1, 6] += size
         y[0, 9] -= 0.5 * least
-        share_seen, squares = one._seen(Frame(y, None, valid, 0.0), 2)
+        _, share_seen, squares = one.against(Frame(y, None, valid, 0.0), 2)
         assert share_seen == pytest.approx(contradict / ((shape[0] - 2) * (shape[1] - 2)))
-        assert squares == pytest.approx(size**2)
+        assert squares == pytest.approx(size**2, rel=0.15)
 
 
 @pytest.mark.parametrize(
@@ -319,7 +449,7 @@ def test_an_interrupted_step_leaves_a_stream_that_goes_on():
 
     def stop(number, misfit):
         seen.append(number)
-        if len(seen) == 25:
+        if len(seen) == 14:
             raise KeyboardInterrupt
 
     one = camera(on_iteration=stop)

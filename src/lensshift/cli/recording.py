@@ -26,8 +26,8 @@ class Split:
     )
     pace: Literal["auto", "live", "refined"] = option(
         "auto",
-        "live: the last stage of the solver while the scene rests; refined: all; "
-        "auto: all at each fourth picture or so.",
+        "refined: each picture is computed; live: while the scene rests, one follows the light and "
+        "the distance of its frames; auto: live, but each fourth picture or so is computed.",
     )
     workers: int | None = option(
         None, "Processes to work with (pip install 'lensshift[cluster]').", min=1

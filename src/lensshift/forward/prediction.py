@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from lensshift.core.arrays import Array, Floats
 from lensshift.core.units import PhaseScale, unambiguous_range_m
 from lensshift.forward.blur import Blur
-from lensshift.forward.model import forward_model
+from lensshift.forward.model import ForwardModel, forward_model
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +50,10 @@ class FramePredictor:
 
         The spot at an offset is the mean of those of all frames.
         """
+        return np.asarray(self.model_of(frame).predict(self.image)[0])
+
+    def model_of(self, frame: int | ArrayLike) -> ForwardModel:
+        """Return the model of that frame alone."""
         per_pixel = (self.shift_field_px, self.spot_px2, self.skew_px3)
         if np.ndim(frame) == 1:
             offset, gain, bias = np.asarray(frame, dtype=np.float64)[None], None, None
@@ -67,11 +71,10 @@ class FramePredictor:
             one = slice(number, number + 1)
             offset, gain, bias = self.offset_px[one], self.gain[one], self.bias[one]
             field, spot, skew = (None if of is None else of[one] for of in per_pixel)
-        model = forward_model(
+        return forward_model(
             self.lr_shape, self.scale, offset if field is None else None, shift_field_px=field,
             spot_px2=spot, skew_px3=skew, blur=self.blur, gain=gain, bias=bias,
         )  # fmt: skip
-        return np.asarray(model.predict(self.image)[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

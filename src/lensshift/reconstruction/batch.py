@@ -50,8 +50,8 @@ def reconstruct_batch(
     >>> [picture.amplitude.image.shape for picture in pictures]
     [(12, 16), (12, 16)]
     """
-    if "memory" in settings:
-        raise ValueError("memory: the bursts of a batch do not follow each other")
+    if "streamed" in settings:
+        raise ValueError("streamed: the bursts of a batch do not follow each other")
     several = list(bursts)
     if device is None:
         return [reconstruct(burst, scale, **settings) for burst in several]

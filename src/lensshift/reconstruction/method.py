@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from lensshift.core.types import Estimate
-from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.noise_law import NoiseLaw
 from lensshift.reconstruction.options import check_settings, option, truth, weight, whole
 from lensshift.reconstruction.problem import Problem, brightness_of
@@ -34,7 +33,7 @@ class Request:
     frames : numbers of the frames in the burst
     refuted : what the frames say against the pixel response that was told, or None
     shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
-    memory : what a stream keeps between its steps, or None
+    streamed : whether a stream asks, again and again
     law : noise of the light that was read with the response, in units of the burst, or None
     device : where "auto" finds its pictures, or None for the kernels of this processor
     """
@@ -49,7 +48,7 @@ class Request:
     frames: Sequence[int] = ()
     refuted: str | None = None
     shifts_doubted: bool = False
-    memory: Memory | None = None
+    streamed: bool = False
     law: NoiseLaw | None = None
     device: Device | None = None
 

@@ -129,8 +129,6 @@ def _questioned(
         found, _ = _found(part, "phasor", request, light)
     else:
         return request
-    if request.memory is not None and request.memory.quick:
-        return request  # It was said when a step was last computed anew.
     told_px, named = blur_width_px(told), ""
     least_px = told_px / (WIDER_BY_MTF50 if response["psf_source"] == "burst" else 1.0)
     nearest_px = np.clip(found.width_px, least_px, told_px)
@@ -154,18 +152,12 @@ def _questioned(
 def _found(
     part: Burst, channel: str, request: Request, seen: Mapping[str, Any]
 ) -> tuple[Response, Request]:
-    """Return what the frames show, or what the last step of a stream found, and their noise."""
-    memory = request.memory
-    found = None if memory is None else memory.recalled()
-    if found is None:
-        found, values = Response(NOMINAL_BLUR_PX, np.inf), _averaged(part, channel)
-        small = min(part.grid.shape) < LEAST_SIDE_PX
-        if not (small or request.shifts_doubted or _for_people(values)):
-            found, law = _read(part, values, channel, seen)
-            request = replace(request, law=law)
-    if memory is not None:
-        memory.keep(found)
-    return found, request
+    """Return what the frames show, and their noise."""
+    values, small = _averaged(part, channel), min(part.grid.shape) < LEAST_SIDE_PX
+    if small or request.shifts_doubted or _for_people(values):
+        return Response(NOMINAL_BLUR_PX, np.inf), request
+    found, law = _read(part, values, channel, seen)
+    return found, replace(request, law=law)
 
 
 def _read(

@@ -55,7 +55,6 @@ class Problem:
     even_noise : whether all pixels have about the same noise, as amplitudes do and distances do not
     told_sigma : noise of the pixels of weight 1 in units of `intensity`, where the variance of each
         was given, or None
-    phase_rad : phase of the burst that 0 stands for, of phasors
     clipped : [frame row col] pixels of light at an end of the range of the camera, None if there
         are none
     """
@@ -70,18 +69,12 @@ class Problem:
     level: float = 0.0
     even_noise: bool = True
     told_sigma: float | None = None
-    phase_rad: float = 0.0
     clipped: Mask | None = None
 
     @property
     def scale(self) -> int:
         """HR pixels per LR pixel."""
         return self.model.scale
-
-    @property
-    def unit(self) -> complex | float:
-        """What 1 stands for, with its phase."""
-        return self.intensity * np.exp(1j * self.phase_rad) if self.phase_rad else self.intensity
 
     @property
     def offset_px(self) -> Floats:

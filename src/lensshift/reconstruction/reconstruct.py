@@ -17,7 +17,6 @@ from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
 from lensshift.reconstruction.clipping import overexposed, without_stuck
 from lensshift.reconstruction.devices import Device, on_device
-from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.misfit import ESTIMATED, NOT_ENOUGH
@@ -61,7 +60,7 @@ def reconstruct(
     seed: int = 0,
     std: bool = True,
     on_iteration: Callable[[int, float], None] | None = None,
-    memory: Memory | None = None,
+    streamed: bool = False,
     device: str | Device | None = None,
     **options: Any,
 ) -> Reconstruction:
@@ -105,7 +104,8 @@ def reconstruct(
     std : whether the propagated noise is wanted (it is computed when first asked for)
     on_iteration : called with the number of the iteration and the objective; an exception
         raised in it ends the work and leaves nothing behind
-    memory : what a `lensshift.stream` keeps between its steps
+    streamed : whether a `lensshift.stream` asks, again and again: shifts are not mended, and what
+        is wrong with the camera is not said anew
     device : where the method "auto" is computed: "cpu", "cuda" or "cuda:1" by PyTorch, "numpy" by
         the same code in NumPy; None: compiled for this processor, the fastest without CUDA
     options : the fields of the method
@@ -131,7 +131,7 @@ def reconstruct(
         frame lies elsewhere, something moved, the brightness changes. Or if they show another pixel
         response than was told, or are overexposed.
     """
-    burst = _checked(burst, scale, noise_sigma, memory)
+    burst = _checked(burst, scale, noise_sigma, streamed=streamed)
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
     chosen = make_method(method, options)
     name, own = chosen.name, chosen.settings
@@ -141,16 +141,16 @@ def reconstruct(
     used = _frame_numbers(burst, frames, field)
     request = Request(
         own.pop("prior_weight", None), seed, non_negative, std, photometric, on_iteration, own,
-        frames=used, shifts_doubted=response["psf_sigma_px"] > QUESTIONED_BLUR_PX, memory=memory,
-        device=on_device(device, name),
+        frames=used, shifts_doubted=response["psf_sigma_px"] > QUESTIONED_BLUR_PX,
+        streamed=streamed, device=on_device(device, name),
     )  # fmt: skip
     part = burst if frames is None else burst.select(used)
-    part = part if memory else _questioned(part, photometric=photometric)
+    part = part if streamed else _questioned(part, photometric=photometric)
     field = None if field is None else field.select(used)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
-    asked = (name == "auto" or choice.channel == "phasor") and not (memory and memory.quick)
+    asked = name == "auto" or choice.channel == "phasor"
     told, request = held_against_frames(burst, part, field, scale, request, asked=asked)
     burst, part = told.burst, told.part
     seen: dict[str, Any] = {
@@ -189,7 +189,7 @@ def _estimates(
             take_level=chosen.take_level and not request.non_negative,
             intensity=chosen.intensity, **seen,
         )  # fmt: skip
-        if (said := overexposed(values, problem.clipped)) and not (request.memory or found):
+        if (said := overexposed(values, problem.clipped)) and not (request.streamed or found):
             warnings.warn(said, QualityWarning, stacklevel=3)
         if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
             problem = problem.with_brightness(part.amplitude)
@@ -332,14 +332,14 @@ def _field_of(
     return lens_field.of(burst)
 
 
-def _checked(burst: Burst, scale: int, noise_sigma: float | None, memory: Memory | None) -> Burst:
+def _checked(burst: Burst, scale: int, noise_sigma: float | None, *, streamed: bool) -> Burst:
     """Return the burst without the pixels that are stuck; a stream does not look for them."""
     expect_burst(burst)
     if noise_sigma is not None:
         positive().check("noise_sigma", noise_sigma)
     if isinstance(scale, bool) or scale not in range(1, 9):
         raise ValueError(f"expected a whole scale from 1 to 8, got {scale!r}")
-    return burst if memory else without_stuck(burst, stacklevel=3)
+    return burst if streamed else without_stuck(burst, stacklevel=3)
 
 
 def _questioned(burst: Burst, *, photometric: bool) -> Burst:

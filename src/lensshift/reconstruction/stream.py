@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -11,10 +11,8 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter
 
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Burst, Frame, Reconstruction, Status
-from lensshift.forward.differences import image_slopes
-from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
-from lensshift.reconstruction.learned.memory import Memory
+from lensshift.core.types import Burst, Frame, Reconstruction
+from lensshift.reconstruction.following import View, following, views_of
 from lensshift.reconstruction.method import Method
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import one_of
@@ -25,8 +23,9 @@ Pace = Literal["auto", "live", "refined"]
 # A frame is of another scene where most pixels are farther from the picture than noise and shifts
 # explain (`misfit.LIMIT` is that of a solved burst).
 CONTRADICTS, MOST = 4.0, 0.5
-# With more than this part of the pixels something moves: half-done pictures show where it was.
-RESTS = 0.01
+# With more than this part of the pixels something moves. Noise alone has a mean of nine squares
+# beyond four variances at 4e-5 of them.
+RESTS = 0.001
 # A frame was taken elsewhere on the plan if there it leaves less than this part of the squares.
 BETTER_PLACE = 0.5
 # Rounds of the plan after which all is computed anew, so that nothing drifts.
@@ -40,12 +39,11 @@ class Stream:
         self._template, self._scale, self._pace = template, scale, pace
         self._settings = settings
         self._frames: dict[int, Frame] = {}
-        self._memory = Memory()
-        self._result: Reconstruction | None = None
+        self._known: _Known | None = None
         self._next = self._since_refined = 0
+        self._contradicted = 0  # pictures computed one after the other that their frames contradict
         self._event: str | None = None
         self._rests = True
-        self._doubted = False
 
     @property
     def window(self) -> Burst:
@@ -78,7 +76,7 @@ class Stream:
         return self.picture()
 
     def take(self, frame: Frame | ArrayLike, *, place: int | None = None) -> None:
-        """Take one frame and do nothing else, where not every frame needs a picture.
+        """Take one frame and solve nothing, where not every frame needs a picture.
 
         One without a valid pixel is lost: its place is not in the picture until the next round.
 
@@ -111,26 +109,27 @@ class Stream:
     def picture(self) -> Reconstruction:
         """Return the picture of the frames taken so far.
 
-        Its settings say what was done: `pace` "live" (the last stage, from the picture before) or
-        "refined" (all, as `reconstruct`), `places` of the frames in it, and `event` since the last
-        one: "scene changed", "frames lost" or None.
+        Its settings say what was done: `pace` "live" (that of before, as bright and as far away as
+        the frames since show it) or "refined" (`reconstruct`), `places` of the frames in it, and
+        `event` since the last one: "scene changed", "frames lost" or None.
         """
         round_ends = self._since_refined + 1 >= REFINED_ROUNDS * self._template.frame_count
-        live = self._rests and self._pace != "refined" and not (self._pace == "auto" and round_ends)
+        # Until all frames are of after something moved, or it was not that.
+        settled = not 0 < self._contradicted < self._template.frame_count
+        live = self._rests and settled and self._pace != "refined"
+        live = live and not (self._pace == "auto" and round_ends)
+        if live and self._known is not None:
+            found = self._known.latest
+            self._since_refined += 1
+        else:
+            found = reconstruct(self.window, self._scale, streamed=True, **self._settings)
+            self._known = _Known(found, dict(self._frames), found)
+            wrong = any("contradiction" in one.notes for one in found.channels.values())
+            self._contradicted = self._contradicted + 1 if wrong else 0
+            self._since_refined, live = 0, False
         event, self._event, self._rests = self._event, None, True
-        places, burst = sorted(self._frames), self.window
-        memory, self._memory = self._memory, Memory()  # what is interrupted is not remembered
-        memory.begin(quick=live)
-        found = reconstruct(burst, self._scale, memory=memory, **self._settings)
-        self._memory = memory
-        self._since_refined = self._since_refined + 1 if live else 0
-        if not live:
-            self._doubted = _doubts_plan(found)
-        elif self._doubted:
-            found = _contradicted(found)
-        said = {"pace": "live" if live else "refined", "places": places, "event": event}
-        self._result = replace(found, settings=dict(found.settings) | said)
-        return self._result
+        said = {"pace": "live" if live else "refined", "places": sorted(self._frames)}
+        return replace(found, settings=dict(found.settings) | said | {"event": event})
 
     def _placed(self, frame: Frame, place: int | None, shows: bool) -> tuple[int, str | None, bool]:
         """Return where a frame was taken, what happened, and whether the scene rests."""
@@ -141,15 +140,18 @@ class Stream:
         if not shows:
             self._warn(f"the frame of place {at} has no valid pixel and is left out")
             return at, "frames lost", False
-        if self._result is None or at not in self._frames:  # what nobody saw may be anything
-            return at, None, False
-        share, squares = self._seen(frame, at)
+        known = self._known
+        if known is None or at not in self._frames or at not in known.frames:
+            return at, None, False  # what nobody saw may be anything
+        changed, share, squares = known.against(frame, at)
         if share <= RESTS:
+            if self._pace != "refined":
+                self._known = replace(known, latest=following(known.latest, changed))
             return at, None, True
-        if place is None and len(self._frames) == count > 1:
-            others = {k: self._seen(frame, k) for k in range(count) if k != at}
-            best = min(others, key=lambda k: others[k][1])
-            if others[best][1] < BETTER_PLACE * squares:
+        if place is None and len(known.frames) == count > 1:
+            others = {k: known.against(frame, k)[2] for k in known.frames if k != at}
+            best = min(others, key=others.__getitem__)
+            if others[best] < BETTER_PLACE * squares:
                 self._warn(f"frames were lost: the one after place {self._next} is of {best}")
                 return best, "frames lost", False
         if share > MOST:
@@ -157,30 +159,46 @@ class Stream:
             return at, "scene changed", False
         return at, None, False
 
-    def _seen(self, frame: Frame, at: int) -> tuple[float, float]:
-        """Return what share of a frame contradicts the picture of a place, and sum of squares.
-
-        By more than the last frame of that place differs from it, which is in the picture.
-        """
-        estimate = None if self._result is None else self._result.amplitude
-        if estimate is None:  # a stream of distances alone
-            return 0.0, 0.0
-        expected = estimate.predict(self._template.offset_px[at])
-        noise = estimate.noise_sigma or 0.0
-        variance = noise**2 + ALLOWED_SHIFT_PX**2 * sum(
-            np.abs(s) ** 2 for s in image_slopes(expected)
-        )
-        seen, last = (
-            np.where(one.valid, np.abs(one.amplitude) - np.abs(expected), 0.0) ** 2
-            for one in (frame, self._frames[at])
-        )
-        variance = variance + uniform_filter(last, 3)
-        around = uniform_filter(seen / np.maximum(variance, 1e-30), 3)
-        inner = (slice(1, -1), slice(1, -1)) if min(around.shape) > 2 else (slice(None),) * 2
-        return float(np.mean(around[inner] > CONTRADICTS)), float(np.sum(seen[inner]))
-
     def _warn(self, text: str) -> None:
         warnings.warn(text, QualityWarning, stacklevel=4)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Known:
+    """A picture that was computed, and what became of it.
+
+    Parameters
+    ----------
+    solved : as it was computed
+    frames : of which, by their places
+    latest : as it followed the frames since
+    left : of places, what the picture leaves of their frames
+    """
+
+    solved: Reconstruction
+    frames: dict[int, Frame]
+    latest: Reconstruction
+    left: dict[int, dict[str, View]] = field(default_factory=dict)
+
+    def against(self, frame: Frame, at: int) -> tuple[dict[str, View], float, float]:
+        """Return what changed since the frame of that place; what share contradicts; squares of it.
+
+        By more than that frame did, of which the picture is, and than light that flickers does.
+        """
+        number = sorted(self.frames).index(at)
+        if at not in self.left:
+            self.left[at] = views_of(self.solved, self.frames[at], number)
+        views, left = views_of(self.latest, frame, number), self.left[at]
+        changed = {name: one.since(left[name]) for name, one in views.items() if name in left}
+        if not changed:  # as of a frame without distances
+            return {}, MOST, 0.0
+        name, first = next(iter(changed.items()))
+        squares = views[name].without(first.change).squares
+        around = uniform_filter(
+            squares / (first.variance + uniform_filter(left[name].squares, 3)), 3
+        )
+        inner = (slice(1, -1), slice(1, -1)) if min(around.shape) > 2 else (slice(None),) * 2
+        return changed, float(np.mean(around[inner] > CONTRADICTS)), float(squares[inner].sum())
 
 
 def stream(
@@ -198,8 +216,8 @@ def stream(
 
     The last frame of each place of the plan is in the picture. A frame that most of the picture
     contradicts begins a new one ("scene changed"); one that fits another place of the plan goes
-    there ("frames lost"). While the scene rests, a new frame costs the last stage of the solver
-    only, which begins with what the stages before it made of earlier frames.
+    there ("frames lost"). While the scene rests a new frame is followed in closed form
+    (`lensshift.reconstruction.following`); if it contradicts the picture, all is computed anew.
 
     Parameters
     ----------
@@ -207,8 +225,8 @@ def stream(
         has them, whose grid, modulation, intrinsics and pixel response are those of the stream
     scale, method : as in `reconstruct`; other methods than "auto" are always "refined"
     pitch_mm, shape, modulation_hz : of the frames, where the plan is no burst
-    pace : "live": the last stage wherever the scene rests; "refined": all stages at each step;
-        "auto": all stages once a round of the plan
+    pace : "live": computed anew where frames contradict the picture, else followed; "refined":
+        computed anew at each step; "auto": once a round of the plan
     settings : of `reconstruct`
 
     Raises
@@ -244,23 +262,6 @@ def stream(
         )  # fmt: skip
     paced: Pace = pace if name == "auto" else "refined"
     return Stream(template, scale, paced, {"method": method} | settings)
-
-
-def _doubts_plan(found: Reconstruction) -> bool:
-    """Tell whether frames contradict the shifts: a doubt that no note of a channel explains."""
-    return any(
-        one.status is Status.CONTRADICTED and "contradiction" not in one.notes
-        for one in found.channels.values()
-    )
-
-
-def _contradicted(found: Reconstruction) -> Reconstruction:
-    """Return a live picture with the doubt of the last full one, which alone checks the shifts."""
-    amplitude, distance = (
-        None if one is None else replace(one, status=Status.CONTRADICTED)
-        for one in (found.amplitude, found.distance_m)
-    )
-    return replace(found, amplitude=amplitude, distance_m=distance)
 
 
 def _frame_of(values: ArrayLike) -> Frame:

@@ -68,7 +68,7 @@ def held_against_frames(
     if doubt is not None and doubt.named:
         warn_of_doubt(doubt, stacklevel=3)
         return replace(told, doubt=doubt), replace(request, shifts_doubted=True)
-    live = request.memory is not None  # the lens comes back to places that were found long ago
+    live = request.streamed  # the lens comes back to places that were found long ago
     if look is None or shift_field is not None or live or not _in_question(part, look):
         return replace(told, doubt=doubt), request
     return _mended(replace(told, doubt=doubt), look, request), request

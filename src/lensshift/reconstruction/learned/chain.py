@@ -68,35 +68,6 @@ class State:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Held:
-    """A picture before the last stage: while the scene rests, new frames need that stage only.
-
-    Parameters
-    ----------
-    v, past : [burst row col] the picture and what it was a stage before
-    channels : of the stage before
-    """
-
-    v: Picture
-    past: Picture
-    channels: Single
-
-    def moved(self, factor: Any, level: Any = 0.0, kind: Any = None) -> Held:
-        """Return the pictures times a factor plus a level, perhaps in another precision."""
-        pictures = (one * factor + level for one in (self.v, self.past))
-        v, past = (one if kind is None else one.astype(kind) for one in pictures)
-        return Held(v, past, self.channels)
-
-    def through(self, carry: Callable[[Any], Any]) -> Held:
-        """Return it on a device, or back from there."""
-        return Held(carry(self.v), carry(self.past), carry(self.channels))
-
-    def one(self, number: int) -> Held:
-        """Return that of one of the bursts alone, still with the axis."""
-        return self.through(lambda values: values[number : number + 1])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Chain:
     """Bursts in units of their noise: frames y, their relative sigma and weight 1 / sigma^2.
 
@@ -117,24 +88,16 @@ class Chain:
         self,
         prior: LearnedPrior,
         on_stage: Callable[[int, Any], None] | None = None,
-        held: Held | None = None,
-    ) -> tuple[Picture, Single, Single, Any, Held]:
-        """Return picture, what is said of its error, the weights, rms of the last step over s.
-
-        And what a run that begins before the last stage needs; `held` is that of another run.
-        """
+    ) -> tuple[Picture, Single, Single, Any]:
+        """Return picture, what is said of its error, the weights, rms of the last step over s."""
         xp = self.on.xp
         density, floor = self.A.adjoint(self.weight), self.floor
         noise: Single = 1 / xp.sqrt(density + floor)
         used = xp.ones_like(self.weight) * (self.weight > 0)
         stages, share = len(prior.numbers["trust"]), self._around(used)
-        if held is None:
-            v, past = self.start(density, prior.numbers)
-            channels: Any = None  # of the stage before
-        else:
-            v, past, channels = held.v, held.past, held.channels
-        for t in range(0 if held is None else stages - 1, stages):
-            half_done = Held(v, past, channels)  # in the end that before the last stage
+        v, past = self.start(density, prior.numbers)
+        channels: Any = None  # of the stage before
+        for t in range(stages):
             trust, forgive, doubt = (
                 float(np.exp(prior.numbers[name][t])) for name in ("trust", "forgive", "doubt")
             )
@@ -158,7 +121,7 @@ class Chain:
                 prior.last_steps if t + 1 == stages else DATA_STEPS,
             )  # fmt: skip
         change = xp.mean((xp.abs(v - past) / xp.clip(s, TINY, None)) ** 2, (1, 2))
-        return v, prior.spread(channels, state), robust, xp.sqrt(change), half_done
+        return v, prior.spread(channels, state), robust, xp.sqrt(change)
 
     def _believed(
         self, size: Single, used: Single, share: Single, forgive: float, doubt: float

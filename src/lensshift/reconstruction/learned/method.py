@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -11,13 +11,11 @@ import numpy as np
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.types import Estimate, Status
 from lensshift.reconstruction.learned.belief import as_predicted, refuted
-from lensshift.reconstruction.learned.chain import Held
 from lensshift.reconstruction.learned.finer import finer_grid, of_larger_pixels, seen_finer
-from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.learned.noise import noise_map, rounded_std
 from lensshift.reconstruction.learned.phasors import finished, with_finer_amplitude
 from lensshift.reconstruction.learned.residual import less_noise
-from lensshift.reconstruction.learned.solver import Asked, Opinion, Solution, solve_together
+from lensshift.reconstruction.learned.solver import Asked, Solution, solve_together
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.problem import Problem, blur_width_px
@@ -40,11 +38,12 @@ SHARPENINGS = 2
 
 def auto(problem: Problem, request: Request) -> Estimate:
     """Exact data steps and a learned prior; the noise decides what is believed of both."""
-    law, least, noise = noise_map(problem, request.memory, request.law)
+    law, least, noise = noise_map(problem, request.law)
     if law.ceiling:
-        law = law.times(_share_of_noise(problem, noise, request))
+        asked = _asked(problem, with_shift_errors(noise, problem))
+        law = law.times(less_noise(asked, partial(_picture, request=request)))
         known = law.scaled(problem.intensity, problem.level)
-        law, least, noise = noise_map(problem, known=known)
+        law, least, noise = noise_map(problem, known)
     found, std = solved(problem, noise, request)
     if std.ndim == 3:  # of a complex picture, that of a component
         std = np.sqrt(np.mean(std**2, axis=0))
@@ -60,18 +59,6 @@ def auto(problem: Problem, request: Request) -> Estimate:
         noise_sigma=max(law.sigma, least),
         notes=dict(found.notes) | {"noise_law": in_units.coefficients},
     )
-
-
-def _share_of_noise(problem: Problem, noise: Floats, request: Request) -> float:
-    """Return how much there is of the noise that was read, as the last step of a stream said."""
-    memory = request.memory
-    share: float | None = None if memory is None else memory.recalled()
-    if share is None:
-        asked = _asked(problem, with_shift_errors(noise, problem))
-        share = less_noise(asked, partial(_picture, request=request))
-    if memory is not None:
-        memory.keep(share)
-    return share
 
 
 def solved(problem: Problem, noise: Floats, request: Request) -> tuple[Estimate, Floats]:
@@ -97,14 +84,11 @@ def solved(problem: Problem, noise: Floats, request: Request) -> tuple[Estimate,
         if request.on_iteration is not None:
             request.on_iteration(len(objective), misfit)
 
-    memory = request.memory
-    kept = _recalled(problem, memory)
-    held = kept.held if kept else None
-    asked = replace(_asked(problem, noise), on_stage=on_stage, held=held)
-    run = partial(_solved_once, problem, request, kept)
+    asked = replace(_asked(problem, noise), on_stage=on_stage)
+    run = partial(_solved_once, problem, request)
     found, misfit = run(asked)
     shaken: dict[int, Array] = {}
-    if memory is None and not asked.general and not asked.of_phasors:
+    if not request.streamed and not asked.general and not asked.of_phasors:
         judging = problem.judging
         asked, found, misfit, shaken = _as_they_fit(asked, found, misfit, run, request, judging)
         problem, noise = replace(problem, y=asked.y), asked.sigma
@@ -118,14 +102,10 @@ def solved(problem: Problem, noise: Floats, request: Request) -> tuple[Estimate,
     if request.refuted is None and misfit.curable and not request.shifts_doubted:
         weighed = _weighed(noise, misfit.weight(of_phasors=asked.of_phasors))
         found, left = run(replace(asked, sigma=weighed))
-    if asked.of_phasors and not (kept and kept.misfit and kept.opinion):
-        believed = replace(asked, sigma=weighed, on_stage=None, held=None)  # of phasors
+    if asked.of_phasors:
+        believed = replace(asked, sigma=weighed, on_stage=None)
         solve = partial(_picture, request=request)
         found = with_finer_amplitude(believed, found, problem.scale, solve)
-    if memory is not None:
-        still = None if wrong or left.curable or left.lit else left
-        step = Kept(found.held, found.opinion, still, kept.next_age if kept else 1)
-        memory.keep(step.moved(problem.unit, problem.level))
     estimate = Estimate(
         image=found.image,
         objective=tuple(objective),
@@ -150,17 +130,13 @@ def _on_finer_grid(problem: Problem, noise: Floats, request: Request) -> Problem
 
     Of phasors only where an HR pixel is an LR pixel: else their light is (`with_finer_amplitude`).
     """
-    model, memory = finer_grid(problem.model), request.memory
+    model = finer_grid(problem.model)
     if model is None or problem.scale == 1:
         return None if model is None else replace(problem, model=model)
     if not problem.even_noise or problem.y.dtype.kind == "c":
         return None
-    wanted = None if memory is None else memory.recalled()
-    if wanted is None:
-        asked = _asked(problem, with_shift_errors(noise, problem))
-        wanted = seen_finer(asked, partial(_picture, request=request)) is not None
-    if memory is not None:
-        memory.keep(wanted)
+    asked = _asked(problem, with_shift_errors(noise, problem))
+    wanted = seen_finer(asked, partial(_picture, request=request)) is not None
     return replace(problem, model=model) if wanted else None
 
 
@@ -177,68 +153,19 @@ def _refuted_by(misfit: Misfit, shaken: dict[int, Array], names: Sequence[int]) 
     return "; and ".join([*said, *([other] if other else [])]) or None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Kept:
-    """What a stream keeps of a step for the next.
-
-    Parameters
-    ----------
-    held : half-done pictures
-    opinion : of phasors
-    misfit : that of the picture if nothing contradicts it: frames of a scene that rests are held
-        against the picture when they come (`Stream`), so that it need not be found after each
-    age : steps since it was found
-    """
-
-    held: tuple[Held, ...]
-    opinion: Opinion | None
-    misfit: Misfit | None
-    age: int
-
-    @property
-    def next_age(self) -> int:
-        """That of a step which this misfit was good for, else 1."""
-        return self.age + 1 if self.misfit else 1
-
-    def moved(self, factor: complex | float, level: complex | float) -> Kept:
-        """Return it in the units of frames times a factor plus a level."""
-        misfit = self.misfit
-        if misfit is not None:
-            misfit = replace(misfit, unexplained=misfit.unexplained * abs(factor))
-        held = tuple(one.moved(factor, level) for one in self.held)
-        opinion = self.opinion
-        if opinion is not None:
-            opinion = replace(opinion, std=opinion.std * abs(factor))
-        return Kept(held, opinion, misfit, self.age)
-
-
-def _recalled(problem: Problem, memory: Memory | None) -> Kept | None:
-    """Return what the step before kept, in units of the problem; a misfit is good for a round."""
-    kept: Kept | None = None if memory is None else memory.recalled()
-    if kept is None:
-        return None
-    kept = kept.moved(1 / problem.unit, -problem.level / problem.unit)
-    return kept if kept.age < len(problem.y) else replace(kept, misfit=None)
-
-
 def _picture(asked: Asked, request: Request) -> Solution:
     """Return the picture, found where the request says."""
     there = request.device
     return solve_together([asked])[0] if there is None else there.solve(asked)
 
 
-def _solved_once(
-    problem: Problem, request: Request, kept: Kept | None, asked: Asked
-) -> tuple[Solution, Misfit]:
-    """Return picture and misfit; that of a picture that rests is known already."""
+def _solved_once(problem: Problem, request: Request, asked: Asked) -> tuple[Solution, Misfit]:
+    """Return picture and misfit."""
     A, noise = problem.model.operator, problem.judging(asked.sigma)
     found = _picture(asked, request)
     if asked.of_phasors:
         solve = partial(_picture, request=request)
-        rests = kept.opinion if kept and kept.misfit else None
-        found = finished(asked, found, problem.scale, solve, rests)
-    if kept is not None and kept.misfit is not None:
-        return found, kept.misfit
+        found = finished(asked, found, problem.scale, solve)
     return found, find_misfit(A, found.image, asked.y, noise, problem.scale)
 
 
@@ -296,7 +223,7 @@ def _seen_otherwise(problem: Problem, noise: Floats, misfit: Misfit, request: Re
         part = replace(problem, model=other, y=y, clipped=clipped)
         sigma = np.where(other.inside, noise[:, rows, cols], np.inf)
         asked = Asked(other, part.y, sigma, blur_width_px(other.blur))
-        _, again = _solved_once(part, request, None, asked)
+        _, again = _solved_once(part, request, asked)
         if not again.curable:
             return replace(misfit, doubt=np.minimum(misfit.doubt, 1.0))
     return misfit

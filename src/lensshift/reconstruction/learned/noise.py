@@ -8,7 +8,6 @@ import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.reconstruction.clipping import silent_pixels
-from lensshift.reconstruction.learned.memory import Memory
 from lensshift.reconstruction.noise import light_of
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, noise_law
 from lensshift.reconstruction.problem import Problem, some_pixels
@@ -30,33 +29,22 @@ HARMONICS = np.arange(1, 61)
 LEAST_FRAMES = 3
 
 
-def noise_of(
-    problem: Problem, memory: Memory | None = None, known: NoiseLaw | None = None
-) -> NoiseLaw:
+def noise_of(problem: Problem, known: NoiseLaw | None = None) -> NoiseLaw:
     """Return the noise of an LR pixel in units of the problem: as told, else as the frames say.
 
-    `known` is what they said before, in units of the burst; what is remembered goes before it.
+    `known` is what they said before, in units of the burst.
     """
-    recalled = None if memory is None else memory.recalled()
-    known = known if recalled is None else recalled
-    law: NoiseLaw = (
-        _estimated_noise(problem)
-        if known is None
-        else known.scaled(1 / problem.intensity, -problem.level / problem.intensity)
-    )
-    if memory is not None:
-        memory.keep(law.scaled(problem.intensity, problem.level))
-    return law
+    if known is None:
+        return _estimated_noise(problem)
+    return known.scaled(1 / problem.intensity, -problem.level / problem.intensity)
 
 
-def noise_map(
-    problem: Problem, memory: Memory | None = None, known: NoiseLaw | None = None
-) -> tuple[NoiseLaw, float, Floats]:
+def noise_map(problem: Problem, known: NoiseLaw | None = None) -> tuple[NoiseLaw, float, Floats]:
     """Return law, least noise that is believed, and the noise [frame row col] of each LR pixel.
 
     Infinite where a pixel must not be used.
     """
-    law, used = noise_of(problem, memory, known), problem.weight > 0
+    law, used = noise_of(problem, known), problem.weight > 0
     rounding = _step(problem.y, used) / math.sqrt(12)
     least = max(LEAST_SHARE * float(np.std(problem.y[used])), LEAST_SIGMA, rounding)
     variance = np.maximum(law.variance(light_of(problem.y, used)), least**2)

@@ -23,7 +23,7 @@ from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX, WINDOW_PX, slopes_of
 from lensshift.reconstruction.learned.finer import means, seen_finer, std_of_means
 from lensshift.reconstruction.learned.pooling import pooled_phase
-from lensshift.reconstruction.learned.solver import Asked, Opinion, Solution
+from lensshift.reconstruction.learned.solver import Asked, Solution
 from lensshift.reconstruction.problem import LEAST_SHARE_OF_LIGHT
 
 # Width of a mean, LR pixels, that is left to the frames: some 30 pixels of each. The noise of white
@@ -41,7 +41,6 @@ def finished(
     found: Solution,
     scale: int,
     solve: Callable[[Asked], Solution],
-    rests: Opinion | None,
 ) -> Solution:
     """Return the picture with the means of its frames, phases pooled, and a second opinion of both.
 
@@ -51,28 +50,22 @@ def finished(
     found : their picture
     scale : HR pixels per LR pixel
     solve : finds the picture of frames
-    rests : the opinion, if nothing has changed since it was found
     """
     weight = found.weight / np.where(np.isfinite(asked.sigma), asked.sigma, np.inf) ** 2
     image, of_means = with_means_of(
         asked.model.operator, found.image, asked.y, weight, LOW_PASS_PX * scale
     )
-    asked = replace(asked, on_stage=None, held=None)
+    asked = replace(asked, on_stage=None)
     along, across = np.hypot(found.std[:2], of_means)
-    if rests is None:
-        ratio, along = _second_amplitude(asked, image, along, scale, solve)
-    else:
-        ratio, along = rests.ratio, rests.std[0]
+    ratio, along = _second_amplitude(asked, image, along, scale, solve)
     image = image * ratio
     size = np.maximum(np.abs(image), TINY)
     own, shared = (np.minimum(part / size, NO_PHASE_RAD) for part in (across, of_means))
     phase, of_phase = pooled_phase(image, along, own, shared, mean_hr_px(scale))
     image = size * np.exp(1j * phase)
-    if rests is None:
-        twist, of_phase = _second_phase(asked, image, of_phase, scale, solve)
-        rests = Opinion(ratio, twist, np.stack([along, of_phase * size]))
-    image = image * np.exp(1j * rests.twist)
-    return replace(found, image=image, std=rests.std.copy(), opinion=rests)
+    twist, of_phase = _second_phase(asked, image, of_phase, scale, solve)
+    image = image * np.exp(1j * twist)
+    return replace(found, image=image, std=np.stack([along, of_phase * size]))
 
 
 def with_finer_amplitude(
@@ -93,11 +86,7 @@ def with_finer_amplitude(
     seen = turn * finer.model.operator.forward(single(light.image))
     p = _odds(asked, found.image, unit * b, scale, seen)
     mixed, along = _mixed(a, b, p, found.std[0] ** 2, std_of_means(light.std) ** 2)
-    opinion, std = found.opinion, np.stack([along, found.std[1]])
-    if opinion is not None:
-        ratio = opinion.ratio * mixed / np.maximum(a, TINY)
-        opinion = replace(opinion, ratio=ratio, std=std)
-    return replace(found, image=mixed * unit, std=std, opinion=opinion)
+    return replace(found, image=mixed * unit, std=np.stack([along, found.std[1]]))
 
 
 def with_means_of(

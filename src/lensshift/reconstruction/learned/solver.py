@@ -16,7 +16,6 @@ from lensshift.forward.model import ForwardModel
 from lensshift.reconstruction.learned.chain import (
     TINY,
     Chain,
-    Held,
     Picture,
     Single,
 )
@@ -41,22 +40,6 @@ OnStage = Callable[[int, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Opinion:
-    """What the weights for brightness add to a picture of phasors.
-
-    Parameters
-    ----------
-    ratio : [row col] of amplitudes to those that the weights for phasors drew
-    twist : [row col] radians that phases are turned by
-    std : [2 row col] along and across the phasors, in the units of the frames
-    """
-
-    ratio: Floats
-    twist: Floats
-    std: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """What the solver found, in the units of the frames.
 
@@ -68,16 +51,12 @@ class Solution:
     weight : [frame row col] 0 .. 1, how much of each LR pixel was believed in the end
     change : rms change of the picture in the last stage over the std of what it began with; inside
         this module all of these have an axis [burst] in front
-    held : of each tile, what another burst of the same shifts and scene can begin with
-    opinion : of phasors, what `finished` found
     """
 
     image: NDArray[np.inexact[Any]]
     std: Floats
     weight: Single
     change: Any
-    held: tuple[Held, ...] = ()
-    opinion: Opinion | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +71,6 @@ class Asked:
         a pixel must not be used
     blur_px : standard deviation of the pixel response in LR pixels
     on_stage : called with the number of the stage and the misfit in units of the noise
-    held : of an earlier solution, in the units of y: only the last stage is done
     general : take the weights of all geometries, also where there are some for this one alone
     alike : believe all pixels alike, also those that contradict
     """
@@ -102,7 +80,6 @@ class Asked:
     sigma: Floats
     blur_px: float
     on_stage: OnStage | None = None
-    held: tuple[Held, ...] | None = None
     general: bool = False
     alike: bool = False
 
@@ -120,15 +97,14 @@ class Asked:
 
     @property
     def geometry(self) -> tuple[Any, ...]:
-        """What bursts have to share to be solved together; what begins with `held` is alone."""
-        model, held = self.model, self.held and id(self.held)
+        """What bursts have to share to be solved together."""
+        model = self.model
         places = [taps.position_hr_px.tobytes() for taps in (model.rows, model.cols)]
         places += [of.tobytes() for of in (model.spot_px2, model.skew_px3) if of is not None]
         kinds = (
             self.of_phasors,
             self.general,
             self.alike,
-            held,
             self.blur_px,
             model.scale,
             model.blur,
@@ -186,8 +162,6 @@ def _solved(asked: Sequence[Asked], on: Kernels) -> list[Solution]:
         for one, (_, factor, level) in zip(asked, units, strict=True)
     ]
     sigma = [one.sigma / unit for one, (unit, _, _) in zip(asked, units, strict=True)]
-    _, factor, level = units[0]
-    held = first.held and tuple(h.moved(factor, -level * factor, kind) for h in first.held)
 
     def on_stage(number: int, misfits: Any) -> None:
         for one, misfit in zip(asked, on.back(misfits), strict=True):
@@ -196,7 +170,7 @@ def _solved(asked: Sequence[Asked], on: Kernels) -> list[Solution]:
 
     found = _in_tiles(
         _prior(first.weights), first.model, np.stack(y), np.stack(sigma), first.blur_px,
-        on_stage, held, on, first.alike,
+        on_stage, on, first.alike,
     )  # fmt: skip
     scale = STD_SCALE.get(first.weights, 1.0)
     return [_in_units(found, n, scale, *unit) for n, unit in enumerate(units)]
@@ -210,13 +184,11 @@ def _in_units(
     std = found.std[n] * np.array([unit, unit, 1.0])[:, None, None] if of_phasors else (
         found.std[n, 0] * (scale * unit)
     )  # fmt: skip
-    kind = np.complex128 if of_phasors else np.float64
     return Solution(
         image=found.image[n] / factor + level,
         std=std,
         weight=found.weight[n],
         change=float(found.change[n]),
-        held=tuple(one.one(n).moved(1 / factor, level, kind) for one in found.held),
     )
 
 
@@ -248,7 +220,6 @@ def _in_tiles(
     sigma: Floats,
     blur_px: float,
     on_stage: Callable[[int, Any], None],
-    held: tuple[Held, ...] | None,
     on: Kernels,
     alike: bool,
 ) -> Solution:
@@ -260,8 +231,8 @@ def _in_tiles(
     turn, shape = turn_of(model.mean_offset_px), (len(y), *model.hr_shape)
     image = np.empty(shape, np.complex128 if y.dtype.kind == "c" else np.float64)
     spread: list[Floats] = []
-    believed, changes, kept = np.empty(y.shape, np.float32), [], []
-    for number, (part, inner) in enumerate(_tiles(model.lr_shape, model.scale)):
+    believed, changes = np.empty(y.shape, np.float32), []
+    for part, inner in _tiles(model.lr_shape, model.scale):
         frames = (..., *part)
         whole = all(p == slice(0, n) for p, n in zip(part, model.lr_shape, strict=True))
         operator = on.operator(model if whole else model.crop(*part))
@@ -269,10 +240,7 @@ def _in_tiles(
             operator, on.there(y[frames]), on.there(relative[frames]), on.there(weight[frames]),
             facts, model.scale, turn, on, alike,
         )  # fmt: skip
-        start = None if held is None else held[number].through(on.there)
-        *found, half_done = chain.run(prior, on_stage, start)
-        v, s, robust, change = map(on.back, found)
-        kept.append(half_done.through(on.back))
+        v, s, robust, change = map(on.back, chain.run(prior, on_stage))
         rows, cols = (slice(i.start - p.start, i.stop - p.start)
                       for i, p in zip(inner, part, strict=True))  # fmt: skip
         to, of = (_times(place, model.scale) for place in (inner, (rows, cols)))
@@ -284,7 +252,7 @@ def _in_tiles(
         changes.append(change)
     believed /= np.maximum(weight, TINY)
     most = np.max(changes, axis=0)
-    return Solution(image, np.stack(spread, axis=1), believed, most, tuple(kept))
+    return Solution(image, np.stack(spread, axis=1), believed, most)
 
 
 def _tiles(lr_shape: tuple[int, int], scale: int) -> list[tuple[Region, Region]]:

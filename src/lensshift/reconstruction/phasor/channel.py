@@ -138,9 +138,7 @@ def _one_frequency(
     part = burst.select(request.frames)
     frames = polar_frames(part)
     problem = make_problem(part, frames.phasor, **seen)
-    turned_rad = frames.scale.reference_m * frames.scale.rad_per_m
-    problem = replace(problem, phase_rad=turned_rad)
-    sigma = noise_map(problem, request.memory, request.law)[2]
+    sigma = noise_map(problem, request.law)[2]
     used = problem.weight > 0
     typical = float(np.median(sigma[used]))
     if method == "auto":

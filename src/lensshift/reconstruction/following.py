@@ -1,0 +1,250 @@
+"""How a picture of a scene that rests follows a new frame, in closed form.
+
+What the frames told of detail stays; how bright it is, and how far away, the newest frame says over
+some pixels, so that light that flickers, warms up or sinks, and a camera that drifts, are followed
+at once. Frames that show other detail are for a solver: `Stream` asks it when they come.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, uniform_filter
+
+from lensshift.core.arrays import Array, Floats
+from lensshift.core.types import Estimate, Frame, Reconstruction
+from lensshift.core.units import PhaseScale, unambiguous_range_m
+from lensshift.forward.differences import image_slopes
+from lensshift.forward.model import ForwardModel
+from lensshift.forward.operator import single
+from lensshift.forward.prediction import FramePredictor, PhasorPredictor
+from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX, WINDOW_PX
+from lensshift.reconstruction.learned.phasors import LOW_PASS_PX
+
+# What is off by more standard deviations counts as if it were off by so many (Huber).
+MOST_SIGMAS = 3.0
+# Of the largest weight: where no pixel is believed nothing is known to change.
+LEAST_WEIGHT = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A frame beside what a picture lets expect of it.
+
+    Parameters
+    ----------
+    model : how the picture becomes this frame, the only one of the model
+    seen : [row col] the frame that it predicts
+    rest : [row col] by how much the frame is more; 0 where it is not valid
+    valid : [row col]
+    noise_sigma : noise of an LR pixel, of a component of phasors
+    """
+
+    model: ForwardModel
+    seen: Array
+    rest: Array
+    valid: Array
+    noise_sigma: float
+
+    @property
+    def components(self) -> int:
+        """2 for phasors, else 1."""
+        return 2 if np.iscomplexobj(self.seen) else 1
+
+    @property
+    def squares(self) -> Floats:
+        """[row col] squared residual of a component."""
+        return np.asarray(self.rest.real**2 + self.rest.imag**2) / self.components
+
+    @cached_property
+    def variance(self) -> Floats:
+        """[row col] what noise and errors of the shifts leave in a component."""
+        steep = sum(np.abs(slope) ** 2 for slope in image_slopes(self.seen))
+        of_shifts = ALLOWED_SHIFT_PX**2 / self.components * np.asarray(steep)
+        return np.maximum(self.noise_sigma**2 + of_shifts, np.finfo(np.float64).tiny)
+
+    @property
+    def basis(self) -> Array:
+        """[row col] what there may be more of: phasors, or a level of light or distances alone."""
+        return self.seen if self.components == 2 else np.full_like(self.seen, self.model.gain[0])
+
+    def since(self, before: View) -> View:
+        """Return what changed since a frame of the same place, which the picture explained so far.
+
+            r' - r <r', r> / <r, r>,   the share within 0 .. 1, over 5 x 5 pixels
+
+        What no picture explains, as errors of the shifts, is in both frames; their noise is not.
+        """
+        tiny = np.finfo(np.float64).tiny
+        both = (self.rest * before.rest.conj()).real / self.components
+        share = uniform_filter(both, WINDOW_PX) / (uniform_filter(before.squares, WINDOW_PX) + tiny)
+        share, valid = np.clip(share, 0, 1), self.valid & before.valid
+        return replace(self, rest=np.where(valid, self.rest - share * before.rest, 0), valid=valid)
+
+    @cached_property
+    def change(self) -> Array:
+        """[row col] by how much of the basis the frame is more, over the pixels around.
+
+            c = G (w b* r) / G (w |b|^2),   w = min(1, 3 s / |r|) / s^2
+
+        G a Gaussian low pass, r what is left, s^2 its variance.
+        """
+        size = np.sqrt(self.squares / self.variance)
+        weight = self.valid * np.minimum(1.0, MOST_SIGMAS / np.maximum(size, 1e-12)) / self.variance
+        known = gaussian_filter(weight * np.abs(self.basis) ** 2, LOW_PASS_PX)
+        of_basis = gaussian_filter(weight * np.conj(self.basis) * self.rest, LOW_PASS_PX)
+        least = max(LEAST_WEIGHT * float(known.max()), np.finfo(np.float64).tiny)
+        return np.asarray(np.where(known > least, of_basis / np.maximum(known, least), 0))
+
+    def without(self, change: Array) -> View:
+        """Return what is left beside a picture that has changed so."""
+        return replace(self, rest=np.where(self.valid, self.rest - change * self.basis, 0))
+
+
+def views_of(found: Reconstruction, frame: Frame, number: int) -> dict[str, View]:
+    """Return what the channels expect beside what the frame shows; "phasor" if these are phasors.
+
+    Nothing of what it does not show.
+
+    Parameters
+    ----------
+    number : of the frame among those of the picture
+    """
+    if (phasors := _as_phasors(found)) is not None:
+        light, _, scale = phasors
+        z = _phasor_of(frame, scale)
+        return {} if z is None else {"phasor": _view(light, z, frame, number)}
+    shown = {"amplitude": frame.amplitude, "distance": frame.distance_m}
+    if np.iscomplexobj(frame.amplitude):
+        shown["amplitude"] = np.abs(frame.amplitude)
+    return {
+        name: _view(one, values, frame, number)
+        for name, one in found.channels.items()
+        if (values := shown[name]) is not None
+    }
+
+
+def following(found: Reconstruction, views: dict[str, View]) -> Reconstruction:
+    """Return the picture as bright, and as far away, as a frame of a scene that rests shows it.
+
+        x <- x + b A^T c / A^T 1,   c as `View.change`
+
+    Of light or distances alone b is 1: what is added to all that is seen comes back. Of phasors
+    b = x: all around shares one factor, so that a dark surface keeps its distance beside a bright
+    one.
+
+    Parameters
+    ----------
+    views : what changed in that frame
+    """
+    if (phasors := _as_phasors(found)) is not None:
+        light, far = _with_gain(*phasors, views["phasor"])
+        return replace(found, amplitude=light, distance_m=far)
+    least = 0.0 if found.settings.get("non_negative") else -np.inf
+    raised = {
+        name: _raised(one, _change(views[name]), least)
+        for name, one in found.channels.items()
+        if name in views
+    }
+    return replace(
+        found,
+        amplitude=raised.get("amplitude", found.amplitude),
+        distance_m=raised.get("distance", found.distance_m),
+    )
+
+
+def _view(one: Estimate, values: Array, frame: Frame, number: int) -> View:
+    predictor = _predictor_of(one)
+    model = predictor.model_of(number)
+    seen = model.predict(predictor.image)[0]
+    valid = frame.valid & model.inside[0]
+    rest = np.where(valid, values - seen, 0)
+    return View(model, seen, rest, valid, one.noise_sigma or 0.0)
+
+
+def _predictor_of(one: Estimate) -> FramePredictor:
+    found = one.predict.phasor if isinstance(one.predict, PhasorPredictor) else one.predict
+    if not isinstance(found, FramePredictor):
+        raise TypeError(f"expected an estimate that `reconstruct` returned, got {found!r:.60}")
+    return found
+
+
+def _as_phasors(found: Reconstruction) -> tuple[Estimate, Estimate, PhaseScale] | None:
+    """Return amplitude, distance and how phases stand for it, if both were found together."""
+    light, far = found.amplitude, found.distance_m
+    if light is None or far is None or not isinstance(far.predict, PhasorPredictor):
+        return None
+    scale = far.predict.distance
+    return None if scale is None else (light, far, scale)
+
+
+def _phasor_of(frame: Frame, scale: PhaseScale) -> Array | None:
+    """Return the phasors [row col] of a frame, turned as those of the picture are."""
+    away_m: Any = -scale.reference_m
+    if not np.iscomplexobj(frame.amplitude):
+        if frame.distance_m is None:
+            return None
+        away_m = np.where(frame.valid, frame.distance_m, 0.0) - scale.reference_m
+    z = np.where(frame.valid, frame.amplitude, 0)
+    return np.asarray(z * np.exp(1j * scale.rad_per_m * away_m))
+
+
+def _change(view: View) -> Array:
+    """Return the change [row col] on the grid of the picture."""
+    A = view.model.operator
+    every = A.adjoint(single(np.ones((1, *view.seen.shape))))
+    return np.asarray(A.adjoint(single(view.change[None])) / np.maximum(every, LEAST_WEIGHT))
+
+
+def _raised(one: Estimate, change: Array, least: float) -> Estimate:
+    """Return the estimate with a change that was found on the grid of its predictor."""
+    predictor, coarse = _predictor_of(one), _on_grid_of(one.image, change)
+    return replace(
+        one,
+        image=np.maximum(one.image + coarse, least),
+        fine=None if one.fine is None else np.maximum(one.fine + change, least),
+        predict=replace(predictor, image=np.maximum(predictor.image + change, least)),
+    )
+
+
+def _with_gain(
+    light: Estimate, far: Estimate, scale: PhaseScale, view: View
+) -> tuple[Estimate, Estimate]:
+    """Return amplitude and distance of phasors times a local factor."""
+    gain, predictor = 1 + _change(view), _predictor_of(light)
+    phasor, coarse = (
+        replace(predictor, image=predictor.image * gain),
+        _on_grid_of(light.image, gain),
+    )
+    brighter = replace(
+        light,
+        image=light.image * np.abs(coarse),
+        fine=None if light.fine is None else light.fine * np.abs(gain),
+        predict=PhasorPredictor(phasor),
+    )
+    farther = replace(
+        far,
+        image=_farther(far.image, coarse, scale),
+        fine=None if far.fine is None else _farther(far.fine, gain, scale),
+        predict=PhasorPredictor(phasor, scale),
+    )
+    return brighter, farther
+
+
+def _farther(image_m: Floats, gain: Array, scale: PhaseScale) -> Floats:
+    """Return distances whose phases are turned by those of a gain."""
+    found_m = image_m + np.angle(gain) / scale.rad_per_m
+    return np.mod(found_m, unambiguous_range_m(scale.modulation_hz)) if scale.circular else found_m
+
+
+def _on_grid_of(image: Array, values: Array) -> Array:
+    """Return the means of the values on the smaller pixels of an image."""
+    rows, cols = image.shape
+    times = math.isqrt(values.size // image.size)
+    if times == 1:
+        return values
+    return np.asarray(values.reshape(rows, times, cols, times).mean(axis=(1, 3)))
