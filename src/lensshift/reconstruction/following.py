@@ -27,6 +27,8 @@ from lensshift.reconstruction.learned.phasors import LOW_PASS_PX
 
 # What is off by more standard deviations counts as if it were off by so many (Huber).
 MOST_SIGMAS = 3.0
+# Over so many pixels, some three of its means along each side, a change is told from noise.
+AROUND_PX = 9
 # Of the largest weight: where no pixel is believed nothing is known to change.
 LEAST_WEIGHT = 1e-9
 
@@ -90,15 +92,22 @@ class View:
         """[row col] by how much of the basis the frame is more, over the pixels around.
 
             c = G (w b* r) / G (w |b|^2),   w = min(1, 3 s / |r|) / s^2
+            c <- c max(0, 1 - t^2 / mean |c|^2),   1 / t^2 = 4 pi g^2 G (w |b|^2)
 
-        G a Gaussian low pass, r what is left, s^2 its variance.
+        G a Gaussian low pass of width g, r what is left, s^2 its variance; t^2 that of c, of which
+        as much is taken as is more than noise over 9 x 9 pixels (James and Stein).
         """
         size = np.sqrt(self.squares / self.variance)
         weight = self.valid * np.minimum(1.0, MOST_SIGMAS / np.maximum(size, 1e-12)) / self.variance
         known = gaussian_filter(weight * np.abs(self.basis) ** 2, LOW_PASS_PX)
         of_basis = gaussian_filter(weight * np.conj(self.basis) * self.rest, LOW_PASS_PX)
         least = max(LEAST_WEIGHT * float(known.max()), np.finfo(np.float64).tiny)
-        return np.asarray(np.where(known > least, of_basis / np.maximum(known, least), 0))
+        c = np.where(known > least, of_basis / np.maximum(known, least), 0)
+        size = uniform_filter(np.abs(c) ** 2, AROUND_PX) / self.components
+        noise = 1 / (4 * math.pi * LOW_PASS_PX**2 * np.maximum(known, least))
+        return np.asarray(
+            c * np.clip(1 - noise / np.maximum(size, np.finfo(np.float64).tiny), 0, 1)
+        )
 
     def without(self, change: Array) -> View:
         """Return what is left beside a picture that has changed so."""
