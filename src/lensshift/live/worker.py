@@ -17,6 +17,8 @@ from lensshift.reconstruction.stream import Stream, stream
 _RATE_OVER_S = 3.0  # long enough to be steady, short enough to follow
 _WARNED_S = 5.0  # how long a warning stands
 _LOOK_S = 0.2  # how soon the solver notices the end
+# While the scene rests pictures follow their frames; computing them takes a fifth of the time.
+_RESTS = 4.0
 # What a device, a file or a setting can do to a thread.
 FAILURES = (ValueError, TypeError, OSError, RuntimeError, MemoryError, ImportError)
 
@@ -75,6 +77,7 @@ class Live:
         self._warning, self._warned_s = "", 0.0
         self.arrived, self.visited, self.solved = Rate(), Rate(), Rate()
         self.frame_count = 0
+        self._refined_from_s = 0.0  # when a picture is to be computed again
         self._recording: Recording | None = None
         self._recording_lock = threading.Lock()
         self._mailbox = Mailbox()
@@ -169,7 +172,9 @@ class Live:
             try:
                 if camera is None or made is None or made[0] is not plan or made[1] != settings:
                     blur = "auto" if settings.blur_px is None else settings.blur_px
-                    camera = stream(plan, settings.scale, settings.method, psf_sigma_px=blur)
+                    camera = stream(
+                        plan, settings.scale, settings.method, psf_sigma_px=blur, pace="live"
+                    )
                     made = plan, settings
                 self._step(camera, shots, settings)
             except FAILURES as error:  # a setting that does not go with these frames; others may
@@ -180,7 +185,11 @@ class Live:
     def _step(self, camera: Stream, shots: Sequence[Shot], settings: Settings) -> None:
         for shot in shots:
             camera.take(shot.frame, place=shot.place)
-        result, last = camera.picture(), shots[-1]
+        begun_s, last = time.monotonic(), shots[-1]
+        result = camera.picture(refined=begun_s > self._refined_from_s)
+        if result.settings["pace"] == "refined":
+            ended_s = time.monotonic()
+            self._refined_from_s = ended_s + _RESTS * (ended_s - begun_s)
         number = 1 if self.picture is None else self.picture.number + 1
         self.picture = Picture(number, result, last, camera.window, settings)
         self.solved.tick()

@@ -106,8 +106,12 @@ class Stream:
         self._next = (at + 1) % self._template.frame_count
         self._event = event or self._event
 
-    def picture(self) -> Reconstruction:
+    def picture(self, *, refined: bool = False) -> Reconstruction:
         """Return the picture of the frames taken so far.
+
+        Parameters
+        ----------
+        refined : compute it, whatever the pace
 
         Its settings say what was done: `pace` "live" (that of before, as bright and as far away as
         the frames since show it) or "refined" (`reconstruct`), `places` of the frames in it, and
@@ -116,7 +120,7 @@ class Stream:
         round_ends = self._since_refined + 1 >= REFINED_ROUNDS * self._template.frame_count
         # Until all frames are of after something moved, or it was not that.
         settled = not 0 < self._contradicted < self._template.frame_count
-        live = self._rests and settled and self._pace != "refined"
+        live = self._rests and settled and self._pace != "refined" and not refined
         live = live and not (self._pace == "auto" and round_ends)
         if live and self._known is not None:
             found = self._known.latest
