@@ -13,10 +13,18 @@ from __future__ import annotations
 
 import argparse
 import os
+import statistics
 import sys
+import time
 import warnings
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
+if TYPE_CHECKING:
+    from lensshift import Burst
+    from lensshift.camera import TofTruth
+
+QUARTER = ((-0.25, -0.25), (-0.25, 0.25), (0.25, 0.25), (0.25, -0.25))
 SHAPES = ("16x64", "240x320", "480x640")
 
 
@@ -44,7 +52,7 @@ def main() -> None:
 
 def measured(shape: tuple[int, int], rounds: int, seed: int) -> list[str]:
     """Return a line for amplitudes and one for phasors."""
-    from lensshift.camera import QUARTER_SQUARE_PX, camera_preset, simulate_tof_burst
+    from lensshift.camera import camera_preset, simulate_tof_burst
     from lensshift.core.grid import Grid
     from lensshift.scene import four_boxes
 
@@ -56,50 +64,47 @@ def measured(shape: tuple[int, int], rounds: int, seed: int) -> list[str]:
     power = preset.illumination.intensity_w_per_sr * (preset.grid.pitch_mm[1] / pitch_mm) ** 2
     light = replace(preset.illumination, intensity_w_per_sr=power)
     camera = replace(preset, output="float", grid=grid, illumination=light)
-    plan = list(QUARTER_SQUARE_PX) * rounds
+    plan = QUARTER * rounds
     burst, truth = simulate_tof_burst(four_boxes(), camera, plan, seed=seed)
     return [_line(burst, truth, channel) for channel in ("amplitude", "phasor")]
 
 
-def _line(burst, truth, channel):  # noqa: ANN001, ANN202
-    import time
-
-    import numpy as np
-
+def _line(burst: Burst, truth: TofTruth, channel: str) -> str:
     import lensshift
     from lensshift.core.types import Frame
     from lensshift.evaluation import depth_error, psnr_db
 
-    count = 4
+    count = len(QUARTER)
     plan = burst.select(range(count))
     told = {"psf_sigma_px": 0.23, "channel": channel, "std": False}  # as `calibrate` finds it
     streams = {pace: lensshift.stream(plan, pace=pace, **told) for pace in ("live", "refined")}
-    taken_ms = {name: [] for name in (*streams, "burst")}
-    psnr, mm = {name: [] for name in streams}, {name: [] for name in streams}
-    last = burst.frame_count - count
+    taken_ms: dict[str, list[float]] = {name: [] for name in (*streams, "burst")}
+    psnr_of, mm_of = ({name: [] for name in streams} for _ in range(2))
     for number in range(burst.frame_count):
         seen = (burst.amplitude[number], burst.distance_m[number], burst.valid[number])
-        frame = Frame(*seen, float("nan"))
         for pace, one in streams.items():
             start_s = time.perf_counter()
-            found = one.step(frame)
+            found = one.step(Frame(*seen, float("nan")))
             taken_ms[pace].append(1e3 * (time.perf_counter() - start_s))
-            if number >= last:
-                psnr[pace].append(psnr_db(found.amplitude.image, truth.amplitude))
-                if found.distance_m is not None:
-                    error = depth_error(
-                        found.distance_m.image, truth.distance_m, truth_valid=truth.valid, scale=2
-                    )
-                    mm[pace].append(1e3 * error.rmse_m)
+            if number < burst.frame_count - count:
+                continue
+            psnr_of[pace].append(psnr_db(found.amplitude.image, truth.amplitude))
+            if found.distance_m is not None:
+                error = depth_error(
+                    found.distance_m.image, truth.distance_m, truth_valid=truth.valid, scale=2
+                )
+                mm_of[pace].append(1e3 * error.rmse_m)
         start_s = time.perf_counter()
         lensshift.reconstruct(streams["live"].window, **told)
         taken_ms["burst"].append(1e3 * (time.perf_counter() - start_s))
-    live, refined, cold = (float(np.median(taken_ms[name][count:])) for name in taken_ms)
-    worst = max(taken_ms["live"][count:])
+    live, refined, whole = (statistics.median(taken_ms[name][count:]) for name in taken_ms)
     rows, cols = burst.grid.shape
-    text = f"{cols:>4d}x{rows:<4d}{channel:10s}{live:9.1f}{worst:8.1f}{refined:9.1f}{cold:8.1f}"
-    text += f"{live / cold:12.2f}{np.mean(psnr['live']):14.2f}{np.mean(psnr['refined']):9.2f}"
-    return text + "".join(f"{np.mean(mm[name]):9.1f}" for name in streams if mm[name])
+    text = f"{cols:>4d}x{rows:<4d}{channel:10s}{live:9.1f}{max(taken_ms['live'][count:]):8.1f}"
+    text += f"{refined:9.1f}{whole:8.1f}{live / whole:12.2f}"
+    for width, of in ((14, psnr_of), (9, mm_of)):
+        for name, wide in zip(streams, (width, 9), strict=True):
+            text += f"{statistics.mean(of[name]):{wide}.1f}" if of[name] else ""
+    return text
 
 
 if __name__ == "__main__":

@@ -308,6 +308,19 @@ def test_gains_of_the_frames_and_a_least_of_zero_hold_for_what_follows():
     assert abs(np.median(fell) * gain + 0.1) < 0.01
 
 
+def test_phasors_without_distance_follow_by_a_factor_as_well():
+    """Noise that is known leaves the choice of the channel to the user: amplitude, complex."""
+    mosaic, rng = phasor_mosaic(3, SHAPE), np.random.default_rng(0)
+    one = camera(pace="live", channel="amplitude", noise_sigma=mosaic.sigma)
+    clean = clean_frames(mosaic.truth)
+    before = run(one, clean, 8, sigma=mosaic.sigma, rng=rng)[-1]
+    after = run(one, 1.2 * clean, 1, sigma=mosaic.sigma, rng=rng)[0]
+    assert after.settings["pace"] == "live"
+    ratio = (after.amplitude.image / before.amplitude.image)[INNER]
+    assert np.iscomplexobj(ratio)
+    assert abs(np.median(ratio.real) - 1.2) < 0.02
+
+
 def test_a_frame_without_distances_is_computed():
     mosaic, rng = phasor_mosaic(3, SHAPE), np.random.default_rng(0)
     one = camera(pace="live", modulation_hz=15e6)

@@ -55,7 +55,7 @@ def in_bands(kernel: Any, values: Array, *taps_and_out: Array) -> None:
         on_threads([partial(kernel, values, *taps, *band, out) for band in cut])
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def forward_separable(
     x: Array,
     row_start: Starts,
@@ -119,7 +119,7 @@ def forward_separable(
                     )
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def adjoint_separable(
     y: Array,
     row_start: Starts,
@@ -179,7 +179,7 @@ def adjoint_separable(
                     out[i, j] += factor * line[j]
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def forward_field(
     x: Array,
     row_start: Starts,
@@ -213,7 +213,7 @@ def forward_field(
                     out[k, u, v] += row[s] * part
 
 
-@njit(cache=True, nogil=True, fastmath=_FAST)
+@njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def adjoint_field(
     y: Array,
     row_start: Starts,

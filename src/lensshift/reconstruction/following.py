@@ -128,8 +128,6 @@ def views_of(found: Reconstruction, frame: Frame, number: int) -> dict[str, View
         z = _phasor_of(frame, scale)
         return {} if z is None else {"phasor": _view(light, z, frame, number)}
     shown = {"amplitude": frame.amplitude, "distance": frame.distance_m}
-    if np.iscomplexobj(frame.amplitude):
-        shown["amplitude"] = np.abs(frame.amplitude)
     return {
         name: _view(one, values, frame, number)
         for name, one in found.channels.items()
@@ -211,12 +209,19 @@ def _change(view: View) -> Array:
 
 def _raised(one: Estimate, change: Array, least: float) -> Estimate:
     """Return the estimate with a change that was found on the grid of its predictor."""
-    predictor, coarse = _predictor_of(one), _on_grid_of(one.image, change)
+    predictor = _predictor_of(one)
+
+    def raised(image: Array) -> Array:
+        here = _on_grid_of(image, change)
+        # Complex images that are no light and distance: of these it is a factor as well.
+        moved = image * (1 + here) if np.iscomplexobj(image) else np.maximum(image + here, least)
+        return np.asarray(moved)
+
     return replace(
         one,
-        image=np.maximum(one.image + coarse, least),
-        fine=None if one.fine is None else np.maximum(one.fine + change, least),
-        predict=replace(predictor, image=np.maximum(predictor.image + change, least)),
+        image=raised(one.image),
+        fine=None if one.fine is None else raised(one.fine),
+        predict=replace(predictor, image=raised(predictor.image)),
     )
 
 
