@@ -377,6 +377,22 @@ def test_something_that_moves_is_computed_anew_and_said():
     assert error(found, moved) < 0.05
 
 
+def test_a_surface_that_only_comes_nearer_is_computed_anew():
+    mosaic, rng = phasor_mosaic(4, SHAPE), np.random.default_rng(9)
+    nearer = mosaic.truth.copy()
+    nearer[10:22, 14:26] *= np.exp(-0.5j)
+    one = camera(pace="live", modulation_hz=15e6, channel="phasor")
+    rests = run(one, clean_frames(mosaic.truth), 8, sigma=mosaic.sigma, rng=rng)[-1]
+    assert rests.settings["pace"] == "live"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        found = run(one, clean_frames(nearer), 4, sigma=mosaic.sigma, rng=rng)
+    assert found[0].settings["pace"] == "refined"
+    off_rad = np.angle(np.exp(1j * PER_M * found[-1].distance_m.image) / nearer)
+    turned = np.median((off_rad - np.median(off_rad))[12:20, 16:24])
+    assert abs(turned) < 0.05
+
+
 def test_frames_that_say_where_they_are_from_may_come_in_any_order():
     truth, rng = scene(42).truth, np.random.default_rng(7)
     clean, one = clean_frames(truth), camera()
