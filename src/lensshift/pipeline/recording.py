@@ -254,6 +254,18 @@ def _begun(
     return job, file, [(f, n) for f, n in tasks if not file.written[f : f + n].all()]
 
 
+def _of_workers() -> dict[str, Any]:
+    """Return the settings of dask that workers of these tasks are started with.
+
+    One that watches itself keeps what it saw of each second of an hour: 0.4 MB each. And dask lets
+    them hand each array back to the system, which costs a fifth of their time.
+    """
+    place = "distributed.nanny.pre-spawn-environ"
+    told = dict(import_module("dask").config.get(place, {}))
+    told.pop("MALLOC_TRIM_THRESHOLD_", None)
+    return {"distributed.worker.profile.enabled": False, place: told}
+
+
 def _solved_by_dask(
     job: Windows, tasks: list[tuple[int, int]], workers: int | None, scheduler: str | None
 ) -> Iterator[Solved]:
@@ -263,9 +275,7 @@ def _solved_by_dask(
     with ExitStack() as stack:
         where: Any = scheduler
         if scheduler is None:
-            # A worker that watches itself keeps what it saw of each second of an hour: 0.4 MB each.
-            quiet = {"distributed.worker.profile.enabled": False}
-            stack.enter_context(import_module("dask").config.set(quiet))
+            stack.enter_context(import_module("dask").config.set(_of_workers()))
             where = stack.enter_context(
                 distributed.LocalCluster(
                     n_workers=workers,
