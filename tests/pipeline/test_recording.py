@@ -304,7 +304,7 @@ def test_a_cluster_gives_the_same_file(film: Path, tmp_path: Path):
 
 
 def test_workers_keep_the_memory_that_they_free():
-    """To hand each array back took them a fifth of their time; all else stays as dask has it."""
+    """To hand each back took them a sixth of their time; all else stays as dask has it."""
     pytest.importorskip("distributed")
     dask = pytest.importorskip("dask")
     place = "distributed.nanny.pre-spawn-environ"

@@ -146,6 +146,57 @@ def test_the_refined_pace_is_reconstruct():
         assert found.settings["places"] == list(range(number + 1))
 
 
+@pytest.mark.parametrize("told", [{"modulation_hz": 15e6}, {"psf_sigma_px": None}, {}])
+def test_what_was_held_against_a_scene_that_rests_is_no_other_picture(told):
+    """Of light and of phasors, of a response that was told and of one that the frames show."""
+    truth = phasor_mosaic(3, SHAPE).truth if "modulation_hz" in told else scene(22).truth
+    clean, rng, one = clean_frames(truth), np.random.default_rng(1), camera(**told)
+    found, computed = run(one, clean, 8, sigma=0.01, rng=rng)[-1], 0
+    for number in range(8, 20):
+        noise = rng.standard_normal(SHAPE) + (1j if np.iscomplexobj(clean) else 0)
+        before, found = found, one.step(clean[number % 4] + 0.01 * noise)
+        if found.settings["pace"] == "live":
+            continue
+        computed += 1
+        response = {} if found.settings["psf_source"] == "assumed" else {
+            "psf_sigma_px": found.settings["psf_sigma_px"]
+        }  # fmt: skip
+        alone = lensshift.reconstruct(one.window, SCALE, **response)
+        for name, expected in alone.channels.items():
+            for got, whole in (
+                (found.channels[name].image, expected.image),
+                (np.asarray(found.channels[name].std), np.asarray(expected.std)),
+            ):
+                np.testing.assert_allclose(got, whole, rtol=1e-4, atol=1e-5)
+        for name in ("psf_sigma_px", "psf_source", "psf_std_px"):
+            assert found.settings.get(name) == before.settings.get(name)
+    assert computed == 3
+
+
+@pytest.mark.parametrize(
+    ("told_px", "ends", "wrong"),
+    [(SQUARE_PIXEL_PX, (SQUARE_PIXEL_PX, 0.0), "contradict offset_px"),
+     (0.6, (SQUARE_PIXEL_PX, 1.0), "sharper than psf_sigma_px 0.6")],
+)  # fmt: skip
+def test_a_lens_that_slowly_goes_lame_or_into_focus_is_said(told_px, ends, wrong):
+    """No frame contradicts those before, and a stream at rest does not ask each time."""
+    truth, rng, one = scene(22).truth, np.random.default_rng(3), camera(psf_sigma_px=told_px)
+    widths_px, shares = (np.r_[np.linspace(a, b, 140), np.full(80, b)]
+                         for a, b in zip((told_px, 1.0), ends, strict=True))  # fmt: skip
+    paces = set()
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", QualityWarning)
+        for number, (width_px, share) in enumerate(zip(widths_px, shares, strict=True)):
+            at_px = share * SQUARE_PX[number % 4][None]
+            model = forward_model(SHAPE, SCALE, at_px, blur=GaussianBlur(width_px))
+            y = model.operator.forward(truth)[0]
+            found = one.step(y + 0.01 * rng.standard_normal(SHAPE))
+            paces.add(found.settings["pace"])
+    assert paces == {"live", "refined"}
+    assert found.amplitude.status is Status.CONTRADICTED
+    assert any(wrong in str(text.message) for text in said)
+
+
 def test_another_scene_is_noticed_and_shown_within_a_round():
     before, after = scene(31).truth, scene(32).truth
     rng, one = np.random.default_rng(5), camera()

@@ -258,7 +258,7 @@ def _of_workers() -> dict[str, Any]:
     """Return the settings of dask that workers of these tasks are started with.
 
     One that watches itself keeps what it saw of each second of an hour: 0.4 MB each. And dask lets
-    them hand each array back to the system, which costs a fifth of their time.
+    them hand each large array back to the system, which costs a sixth of their time.
     """
     place = "distributed.nanny.pre-spawn-environ"
     told = dict(import_module("dask").config.get(place, {}))

@@ -77,6 +77,12 @@ def told_response(
     return {"psf_sigma_px": float(told), "psf_source": "burst"} | error
 
 
+def response_of(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the response of a picture, as from `told_response` or `as_seen`."""
+    names = ("psf_sigma_px", "psf_source", "psf_std_px")
+    return {name: settings[name] for name in names if name in settings}
+
+
 def as_seen(
     part: Burst,
     channel: str,

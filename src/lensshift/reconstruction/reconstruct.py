@@ -26,6 +26,7 @@ from lensshift.reconstruction.phasor.choice import Channel, Choice, choose_chann
 from lensshift.reconstruction.photometry import estimate_photometry, std_of_level
 from lensshift.reconstruction.pixel_response import (
     as_seen,
+    response_of,
     told_response,
     undone,
 )
@@ -60,7 +61,7 @@ def reconstruct(
     seed: int = 0,
     std: bool = True,
     on_iteration: Callable[[int, float], None] | None = None,
-    streamed: bool = False,
+    streamed: bool | Reconstruction = False,
     device: str | Device | None = None,
     **options: Any,
 ) -> Reconstruction:
@@ -105,7 +106,8 @@ def reconstruct(
     on_iteration : called with the number of the iteration and the objective; an exception
         raised in it ends the work and leaves nothing behind
     streamed : whether a `lensshift.stream` asks, again and again: shifts are not mended, and what
-        is wrong with the camera is not said anew
+        is wrong with the camera is not said anew. Or what it had before of a scene that rests: the
+        response is that one, and neither it nor the shifts are held against the frames again
     device : where the method "auto" is computed: "cpu", "cuda" or "cuda:1" by PyTorch, "numpy" by
         the same code in NumPy; None: compiled for this processor, the fastest without CUDA
     options : the fields of the method
@@ -131,12 +133,15 @@ def reconstruct(
         frame lies elsewhere, something moved, the brightness changes. Or if they show another pixel
         response than was told, or are overexposed.
     """
+    before = streamed if isinstance(streamed, Reconstruction) else None
+    streamed = before is not None or bool(streamed)
     burst = _checked(burst, scale, noise_sigma, streamed=streamed)
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
     chosen = make_method(method, options)
     name, own = chosen.name, chosen.settings
     field = _field_of(burst, shift_field, lens_field)
     response = told_response(burst, psf_sigma_px, fill_factor)
+    response = response if before is None else response_of(before.settings)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     used = _frame_numbers(burst, frames, field)
     request = Request(
@@ -150,7 +155,7 @@ def reconstruct(
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
-    asked = name == "auto" or choice.channel == "phasor"
+    asked = before is None and (name == "auto" or choice.channel == "phasor")
     told, request = held_against_frames(burst, part, field, scale, request, asked=asked)
     burst, part = told.burst, told.part
     seen: dict[str, Any] = {
@@ -158,7 +163,8 @@ def reconstruct(
         "noise_sigma": noise_sigma, "pixel_variance": variance,
     }  # fmt: skip
     # Gains would look like edges, and spots vary.
-    if chosen.reads_response and not photometric and lens_field is None:
+    reads = chosen.reads_response and not photometric and lens_field is None
+    if reads and before is None:
         response, request = as_seen(part, choice.channel, request, response, blur, seen)
         seen["blur"] = undone(blur, response, chosen, lens_field)
     settings = _settings(burst, seen, request, choice) | response | told.settings

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter
 
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Burst, Frame, Reconstruction
+from lensshift.core.types import Burst, Frame, Reconstruction, Status
 from lensshift.reconstruction.following import View, following, views_of
 from lensshift.reconstruction.method import Method
 from lensshift.reconstruction.methods import make_method
@@ -30,6 +30,10 @@ RESTS = 0.001
 BETTER_PLACE = 0.5
 # Rounds of the plan after which all is computed anew, so that nothing drifts.
 REFINED_ROUNDS = 1
+# Of the pictures of a scene that rests, so many are computed by the response and the shifts that
+# the frames of one did not contradict: their frames would say the same. A lens that goes out of
+# focus by less than is noticed is asked then.
+BELIEVED_PICTURES = 16
 
 
 class Stream:
@@ -40,7 +44,7 @@ class Stream:
         self._settings = settings
         self._frames: dict[int, Frame] = {}
         self._known: _Known | None = None
-        self._next = self._since_refined = 0
+        self._next = self._since_refined = self._since_asked = 0
         self._contradicted = 0  # pictures computed one after the other that their frames contradict
         self._event: str | None = None
         self._rests = True
@@ -126,7 +130,10 @@ class Stream:
             found = self._known.latest
             self._since_refined += 1
         else:
-            found = reconstruct(self.window, self._scale, streamed=True, **self._settings)
+            rests = self._rests and settled and self._pace == "auto" and not refined
+            before = self._believed() if rests else None
+            self._since_asked = 0 if before is None else self._since_asked + 1
+            found = reconstruct(self.window, self._scale, streamed=before or True, **self._settings)
             self._known = _Known(found, dict(self._frames), found)
             wrong = any("contradiction" in one.notes for one in found.channels.values())
             self._contradicted = self._contradicted + 1 if wrong else 0
@@ -134,6 +141,15 @@ class Stream:
         event, self._event, self._rests = self._event, None, True
         said = {"pace": "live" if live else "refined", "places": sorted(self._frames)}
         return replace(found, settings=dict(found.settings) | said | {"event": event})
+
+    def _believed(self) -> Reconstruction | None:
+        """Return the picture whose response and shifts hold while the scene rests, if they do."""
+        known = self._known
+        if known is None or self._since_asked + 1 >= BELIEVED_PICTURES:
+            return None
+        channels = known.solved.channels.values()
+        held = all(one.status is not Status.CONTRADICTED for one in channels)
+        return known.solved if held and len(known.frames) == self._template.frame_count else None
 
     def _placed(self, frame: Frame, place: int | None, shows: bool) -> tuple[int, str | None, bool]:
         """Return where a frame was taken, what happened, and whether the scene rests."""
