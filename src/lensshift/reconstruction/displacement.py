@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 
 from lensshift.core.arrays import Array, Mask
 from lensshift.core.gaussian import MEDIAN_SIZE
+from lensshift.core.local_means import mean_around
 from lensshift.forward.differences import image_slopes
 from lensshift.forward.operator import LinearOperator
 
@@ -63,8 +63,7 @@ def displaced(r: Array, slopes: Array, variance: Array, seen: Array) -> Array:
     products = [down.conj() * down, down.conj() * right, right.conj() * right]
     products += [down.conj() * r, right.conj() * r]
     weighed = np.stack([product.real * weight for product in products])
-    size = (1, 1, WINDOW_PX, WINDOW_PX)
-    a, b, c, p, q = WINDOW_PX**2 * uniform_filter(weighed, size, mode="constant")
+    a, b, c, p, q = WINDOW_PX**2 * mean_around(weighed, WINDOW_PX, zeros=True)
     mean, half = (a + c) / 2, np.hypot((a - c) / 2, b)
     cos = np.sqrt(np.clip(0.5 + (a - c) / 4 / np.maximum(half, LEAST_KNOWN), 0.0, 1.0))
     sin = np.copysign(np.sqrt(1.0 - cos**2), b)
@@ -88,8 +87,7 @@ def usual(values: Array, weight: Array) -> float:
 
 def around(values: Array, seen: Array, side_px: int, missing: float) -> Array:
     """Return the mean [frame row col] around each pixel; those not seen count as `missing`."""
-    rest = uniform_filter((values - missing) * seen, (1, side_px, side_px), mode="constant")
-    return np.asarray(missing + rest)
+    return missing + mean_around((values - missing) * seen, side_px, zeros=True)
 
 
 def some_pixels(values: Array) -> Array:
@@ -157,7 +155,7 @@ def elsewhere(
         if not enough[k] or np.hypot(down, right) - SURE * error[k] < LEAST_OFF_PX:
             continue
         shown = np.abs(down * slopes[0, k] + right * slopes[1, k]) ** 2 / variance[k]
-        telling = used[k] & (uniform_filter(np.minimum(shown, MOST_SQUARE), WINDOW_PX) > limit)
+        telling = used[k] & (mean_around(np.minimum(shown, MOST_SQUARE), WINDOW_PX) > limit)
         if not telling.any() or np.mean(doubt[k][telling] > 1.0) >= LEAST_SHARE:
             off_px[k] = (float(down), float(right))
             everywhere &= float(telling[used[k]].mean()) > TELLING_SHARE

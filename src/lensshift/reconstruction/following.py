@@ -13,9 +13,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, uniform_filter
 
 from lensshift.core.arrays import Array, Floats
+from lensshift.core.local_means import gaussian_around, mean_around
 from lensshift.core.types import Estimate, Frame, Reconstruction
 from lensshift.core.units import PhaseScale, unambiguous_range_m
 from lensshift.forward.differences import image_slopes
@@ -83,7 +83,7 @@ class View:
         """
         tiny = np.finfo(np.float64).tiny
         both = (self.rest * before.rest.conj()).real / self.components
-        share = uniform_filter(both, WINDOW_PX) / (uniform_filter(before.squares, WINDOW_PX) + tiny)
+        share = mean_around(both, WINDOW_PX) / (mean_around(before.squares, WINDOW_PX) + tiny)
         share, valid = np.clip(share, 0, 1), self.valid & before.valid
         return replace(self, rest=np.where(valid, self.rest - share * before.rest, 0), valid=valid)
 
@@ -99,11 +99,11 @@ class View:
         """
         size = np.sqrt(self.squares / self.variance)
         weight = self.valid * np.minimum(1.0, MOST_SIGMAS / np.maximum(size, 1e-12)) / self.variance
-        known = gaussian_filter(weight * np.abs(self.basis) ** 2, LOW_PASS_PX)
-        of_basis = gaussian_filter(weight * np.conj(self.basis) * self.rest, LOW_PASS_PX)
+        known = gaussian_around(weight * np.abs(self.basis) ** 2, LOW_PASS_PX)
+        of_basis = gaussian_around(weight * np.conj(self.basis) * self.rest, LOW_PASS_PX)
         least = max(LEAST_WEIGHT * float(known.max()), np.finfo(np.float64).tiny)
         c = np.where(known > least, of_basis / np.maximum(known, least), 0)
-        size = uniform_filter(np.abs(c) ** 2, AROUND_PX) / self.components
+        size = mean_around(np.abs(c) ** 2, AROUND_PX) / self.components
         noise = 1 / (4 * math.pi * LOW_PASS_PX**2 * np.maximum(known, least))
         return np.asarray(
             c * np.clip(1 - noise / np.maximum(size, np.finfo(np.float64).tiny), 0, 1)

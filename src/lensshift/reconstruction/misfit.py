@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import find_objects, label, maximum, maximum_filter, uniform_filter
+from scipy.ndimage import find_objects, label, maximum, maximum_filter
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.gaussian import MEDIAN_SIZE
+from lensshift.core.local_means import mean_around
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.displacement import (
     ALLOWED_SHIFT_PX,
@@ -263,7 +264,7 @@ def _excess_noise(q: Array, used: Mask) -> Array:
 def _alone(q: Array) -> Mask:
     """Tell outliers that stand alone: pixels of a camera, none of which the scene knows."""
     far = q > OUTLIER_SQUARE
-    return far & (uniform_filter(far.astype(np.float64), (1, 3, 3), mode="constant") < 1.5 / 9)
+    return far & (mean_around(far.astype(np.float64), 3, zeros=True) < 1.5 / 9)
 
 
 def _limit(alone: Mask, used: Mask) -> float:
@@ -276,7 +277,7 @@ def _limit(alone: Mask, used: Mask) -> float:
 
 def _unexplained(A: LinearOperator, chi: Array, noise: Array, seen: Array, parts: float) -> Floats:
     """Return [row col] the size of what chance does not explain of chi-square, where seen."""
-    nearby, count = (uniform_filter(v, (1, 3, 3), mode="constant") for v in (chi * seen, seen))
+    nearby, count = (mean_around(v, 3, zeros=True) for v in (chi * seen, seen))
     pooled, samples = A.adjoint(nearby), np.maximum(A.adjoint(count), 1e-9)
     ones = np.maximum(A.adjoint(np.ones_like(seen)), 1e-9)
     number = 9 * len(seen) * parts * samples / ones

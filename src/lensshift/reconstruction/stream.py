@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import uniform_filter
 
 from lensshift.core.errors import QualityWarning
+from lensshift.core.local_means import mean_around
 from lensshift.core.types import Burst, Frame, Reconstruction, Status
 from lensshift.reconstruction.following import View, following, views_of
 from lensshift.reconstruction.method import Method
@@ -214,9 +214,7 @@ class _Known:
             return {}, MOST, 0.0
         name, first = next(iter(changed.items()))
         squares = views[name].without(first.change).squares
-        around = uniform_filter(
-            squares / (first.variance + uniform_filter(left[name].squares, 3)), 3
-        )
+        around = mean_around(squares / (first.variance + mean_around(left[name].squares, 3)), 3)
         inner = (slice(1, -1), slice(1, -1)) if min(around.shape) > 2 else (slice(None),) * 2
         return changed, float(np.mean(around[inner] > CONTRADICTS)), float(squares[inner].sum())
 

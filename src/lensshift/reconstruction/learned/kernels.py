@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 
+from lensshift.core.local_means import mean_around
 from lensshift.forward.model import ForwardModel
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.learned.network import Network
@@ -47,8 +47,7 @@ class Compiled:
 
     def mean_around(self, values: Array, size_px: int) -> Array:
         """Return the mean over a window [... row col]; beyond the border there are zeros."""
-        sizes = (1,) * (values.ndim - 2) + (size_px, size_px)
-        return np.asarray(uniform_filter(values, sizes, mode="constant"))
+        return mean_around(values, size_px, zeros=True)
 
 
 COMPILED = Compiled()

@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 from scipy.special import expit
 
 from lensshift.core.arrays import Array, Floats
+from lensshift.core.local_means import gaussian_around, mean_around
 from lensshift.core.units import within_half_a_turn
 from lensshift.forward.operator import LinearOperator, single
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX, WINDOW_PX, slopes_of
@@ -105,15 +105,13 @@ def with_means_of(
     weight : [frame row col] inverse variance, 0 where a pixel is not believed
     low_hr_px : width of the low pass
     """
-    from scipy.ndimage import gaussian_filter
-
     y, weight = single(y), single(weight)
-    known = gaussian_filter(A.adjoint(weight), low_hr_px)
+    known = gaussian_around(A.adjoint(weight), low_hr_px)
     least = 1e-9 * float(known.max())
     seen, known = known > least, np.maximum(known, least)
     for _ in range(2):
         rest = A.adjoint(weight * (y - A.forward(single(image))))
-        image = image + gaussian_filter(rest, low_hr_px) / known
+        image = image + gaussian_around(rest, low_hr_px) / known
     of_noise = OF_TWO_PASSES / (4 * math.pi * low_hr_px**2)
     return np.asarray(image), np.where(seen, np.sqrt(of_noise / known), 0.0)
 
@@ -205,6 +203,6 @@ def _odds(
     views = A.forward(pictures[0]), A.forward(pictures[1]) if seen is None else seen
     squares = (np.abs(asked.y - view) ** 2 / 2 / variance for view in views)
     apart = np.subtract(*(np.where(used, square, 0.0).sum(axis=0) for square in squares))
-    around = WINDOW_PX**2 * uniform_filter(apart, WINDOW_PX, mode="constant")
+    around = WINDOW_PX**2 * mean_around(apart, WINDOW_PX, zeros=True)
     odds = single(np.broadcast_to(expit(around / 2), used.shape) * used)
     return np.asarray(A.adjoint(odds) / np.maximum(A.adjoint(single(used)), 1e-9), np.float64)
