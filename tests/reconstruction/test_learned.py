@@ -551,14 +551,15 @@ def _trained(name):
 def _run(chain, model, y, sigma, blur_hr_px):
     import torch
     from bursts import dense_taps
+    from network import facts_of
 
     rows, cols = model.hr_shape
     values = (y[None], np.ones((1, *sigma.shape)), sigma[None],
               dense_taps(model.rows, rows), dense_taps(model.cols, cols))  # fmt: skip
     with torch.no_grad():
-        stages, spread = chain(
-            *(torch.tensor(v, dtype=torch.float32) for v in values), blur_hr_px, model.scale
-        )
+        tensors = [torch.tensor(v, dtype=torch.float32) for v in values]
+        facts = facts_of(blur_hr_px, model.scale, len(y[0]) if y.ndim == 4 else len(y))
+        stages, spread = chain(*tensors, facts, model.scale)
     return stages[-1][0].numpy(), spread[0].numpy()
 
 

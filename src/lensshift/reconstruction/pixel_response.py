@@ -14,7 +14,7 @@ from lensshift.core.arrays import Array
 from lensshift.core.errors import DataError
 from lensshift.core.lens_field import LensField
 from lensshift.core.optical import gaussian_width
-from lensshift.core.types import Burst
+from lensshift.core.types import Burst, Reconstruction
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.reconstruction.clipping import silent_pixels
 from lensshift.reconstruction.learned.noise import noise_map
@@ -59,9 +59,15 @@ LEAST_SIDE_PX = 6
 
 
 def told_response(
-    burst: Burst, psf_sigma_px: float | str | None, fill_factor: float | None
+    burst: Burst,
+    psf_sigma_px: float | str | None,
+    fill_factor: float | None,
+    before: Reconstruction | None = None,
 ) -> dict[str, Any]:
-    """Return the width of the blur in LR pixels, and where it is from."""
+    """Return the width of the blur in LR pixels, and where it is from; or that of a picture."""
+    if before is not None:
+        names = ("psf_sigma_px", "psf_source", "psf_std_px")
+        return {name: before.settings[name] for name in names if name in before.settings}
     if isinstance(psf_sigma_px, str) and psf_sigma_px != "auto":
         raise ValueError(f"psf_sigma_px: expected a number or 'auto', got {psf_sigma_px!r}")
     if psf_sigma_px is not None and psf_sigma_px != "auto":
@@ -77,12 +83,6 @@ def told_response(
     return {"psf_sigma_px": float(told), "psf_source": "burst"} | error
 
 
-def response_of(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the response of a picture, as from `told_response` or `as_seen`."""
-    names = ("psf_sigma_px", "psf_source", "psf_std_px")
-    return {name: settings[name] for name in names if name in settings}
-
-
 def as_seen(
     part: Burst,
     channel: str,
@@ -94,7 +94,8 @@ def as_seen(
     """Return the width that the frames of `part` show, if they show one; else the usual one.
 
     Of a response that was told: that, with what the frames say against it in the request. And the
-    noise of the light that was found for it, unless it was known.
+    noise of the light that was found for it, unless it was known. Not to be asked where gains would
+    look like edges, or spots vary.
 
     Parameters
     ----------

@@ -24,12 +24,7 @@ from lensshift.reconstruction.options import positive
 from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, Choice, choose_channel
 from lensshift.reconstruction.photometry import estimate_photometry, std_of_level
-from lensshift.reconstruction.pixel_response import (
-    as_seen,
-    response_of,
-    told_response,
-    undone,
-)
+from lensshift.reconstruction.pixel_response import as_seen, told_response, undone
 from lensshift.reconstruction.problem import (
     QUESTIONED_BLUR_PX,
     Problem,
@@ -134,23 +129,21 @@ def reconstruct(
         response than was told, or are overexposed.
     """
     before = streamed if isinstance(streamed, Reconstruction) else None
-    streamed = before is not None or bool(streamed)
-    burst = _checked(burst, scale, noise_sigma, streamed=streamed)
+    burst = _checked(burst, scale, noise_sigma, streamed=bool(streamed))
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
     chosen = make_method(method, options)
     name, own = chosen.name, chosen.settings
     field = _field_of(burst, shift_field, lens_field)
-    response = told_response(burst, psf_sigma_px, fill_factor)
-    response = response if before is None else response_of(before.settings)
+    response = told_response(burst, psf_sigma_px, fill_factor, before)
     blur = make_blur(response["psf_sigma_px"], fill_factor)
     used = _frame_numbers(burst, frames, field)
     request = Request(
         own.pop("prior_weight", None), seed, non_negative, std, photometric, on_iteration, own,
         frames=used, shifts_doubted=response["psf_sigma_px"] > QUESTIONED_BLUR_PX,
-        streamed=streamed, device=on_device(device, name),
+        streamed=bool(streamed), device=on_device(device, name),
     )  # fmt: skip
     part = burst if frames is None else burst.select(used)
-    part = part if streamed else _questioned(part, photometric=photometric)
+    _question(part, request)
     field = None if field is None else field.select(used)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     given = photometric or noise_sigma is not None or variance is not None
@@ -162,9 +155,7 @@ def reconstruct(
         "scale": scale, "blur": undone(blur, response, chosen, lens_field), "shift_field": field,
         "noise_sigma": noise_sigma, "pixel_variance": variance,
     }  # fmt: skip
-    # Gains would look like edges, and spots vary.
-    reads = chosen.reads_response and not photometric and lens_field is None
-    if reads and before is None:
+    if chosen.reads_response and not photometric and lens_field is None and before is None:
         response, request = as_seen(part, choice.channel, request, response, blur, seen)
         seen["blur"] = undone(blur, response, chosen, lens_field)
     settings = _settings(burst, seen, request, choice) | response | told.settings
@@ -348,11 +339,13 @@ def _checked(burst: Burst, scale: int, noise_sigma: float | None, *, streamed: b
     return burst if streamed else without_stuck(burst, stacklevel=3)
 
 
-def _questioned(burst: Burst, *, photometric: bool) -> Burst:
-    """Return the burst, after warnings of what its frames can hardly be like."""
-    for said in doubts_about_frames(burst.amplitude, burst.valid, photometric=photometric):
+def _question(burst: Burst, request: Request) -> None:
+    """Warn of what the frames can hardly be like; of those of a stream it was said."""
+    if request.streamed:
+        return
+    doubts = doubts_about_frames(burst.amplitude, burst.valid, photometric=request.photometric)
+    for said in doubts:
         warnings.warn(said, QualityWarning, stacklevel=3)
-    return burst
 
 
 def _settings(
