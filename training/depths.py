@@ -8,14 +8,8 @@ that of the light that comes back, relative to the middle of the scene.
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
-from pathlib import Path
-
 import numpy as np
-from numpy.typing import NDArray
-from worlds import POLE, SIZE, UNIT, Canvas, Generator, log_uniform, paint, shape
+from worlds import POLE, SIZE, UNIT, Canvas, Generator, log_uniform, paint, shape, write_pool
 
 LEAST_REFLECTANCE = 0.005
 
@@ -73,25 +67,5 @@ def _cover(rng: Generator, light: Canvas, phase: Canvas, radius: float, step: fl
     phase[part] = np.where(mask, near, phase[part])
 
 
-def main() -> None:
-    """Write a pool of scenes [scene 2 row col] in half precision."""
-    ask = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    ask.add_argument("--count", type=int, default=3000)
-    ask.add_argument("--seed", type=int, default=2)
-    ask.add_argument("--out", type=Path, default=Path("depths.npy"))
-    given = ask.parse_args()
-    rng = np.random.default_rng(given.seed)
-    pool: NDArray[np.float16] = np.lib.format.open_memmap(
-        given.out, mode="w+", dtype=np.float16, shape=(given.count, 2, SIZE, SIZE)
-    )
-    began = time.monotonic()
-    for number in range(given.count):
-        pool[number] = scene(rng)
-        if number % 100 == 99:
-            sys.stdout.write(f"{number + 1} scenes, {time.monotonic() - began:.0f} s\n")
-            sys.stdout.flush()
-    pool.flush()
-
-
 if __name__ == "__main__":
-    main()
+    write_pool(scene, __doc__.split("\n")[0], "depths.npy")

@@ -70,10 +70,10 @@ def main() -> None:
     given = ask.parse_args()
     file = io.BytesIO()
     name = given.out.stem
-    found = arrays_of(torch.load(given.checkpoint)["solver"], name in OF_PICTURES)
-    if (
-        given.keep
-    ):  # a mean of both ends of a run that went on from there loses less of what was learned
+    state = torch.load(given.checkpoint, map_location="cpu")["solver"]
+    found = arrays_of(state, name in OF_PICTURES)
+    # A mean of both ends of a run that went on from there loses less of what was learned.
+    if given.keep:
         with np.load(given.out) as there:
             found = {
                 key: ((1 - given.keep) * new + given.keep * there[key]).astype(new.dtype)

@@ -107,7 +107,7 @@ class Prior(nn.Module):
         a, b = (1 + self.facts(facts)).chunk(2)
         x = functional.relu(x) * a[:, None, None]
         # Half precision is enough behind the layer that takes the level off.
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.training):
+        with half_precision(x, self.training):
             x = functional.relu(self.layers[1](x)) * b[:, None, None].to(x.dtype)
             x = functional.relu(self.layers[2](x))
             return self.layers[3](x).float()
@@ -126,7 +126,7 @@ class Solver(nn.Module):
         self.lowest = nn.Parameter(torch.logit(lowest))  # least eigenvalue of the data steps
         self.doubt = nn.Parameter(torch.full((stages,), -2.0))  # log, share of the misfit forgiven
 
-    def forward(self, y, valid, sigma, rows, cols, blur_hr_px, scale):
+    def forward(self, y, valid, sigma, rows, cols, facts, scale):
         """Return the estimates of all stages [burst row col] and the std of the last."""
         model = Model(rows, cols)
         unit = (sigma * valid).sum((1, 2, 3), keepdim=True) / valid.sum((1, 2, 3), keepdim=True)
@@ -134,7 +134,6 @@ class Solver(nn.Module):
         unit = unit[:, 0]
         density = model.adjoint(weight)
         floor = 0.02 * rows.shape[0] / scale**2
-        facts = facts_of(blur_hr_px, scale, rows.shape[0])
         x = model.adjoint(weight * y) / (density + floor * 1e-3)
         v = solve(
             lambda p: model.adjoint(weight * model.forward(p)) + START_STIFFNESS * stiffness(p),
@@ -176,6 +175,11 @@ class Solver(nn.Module):
             )  # fmt: skip
             found.append(v)
         return found, std
+
+
+def half_precision(x: Tensor, wanted: bool) -> torch.autocast:
+    """Return a context in which convolutions are in bfloat16."""
+    return torch.autocast(x.device.type, torch.bfloat16, enabled=wanted, cache_enabled=False)
 
 
 def facts_of(blur_hr_px: float, scale: int, frames: int) -> Tensor:

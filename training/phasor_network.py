@@ -21,8 +21,8 @@ from network import (
     START_STEPS,
     START_STIFFNESS,
     Model,
-    facts_of,
     fold_pad,
+    half_precision,
     local_rms,
     solve,
     stiffness,
@@ -59,7 +59,7 @@ class PhasorPrior(nn.Module):
         x = functional.pad(x, (1, 1, 1, 1), mode="replicate")
         x = x.to(memory_format=torch.channels_last)
         a, b = (1 + self.facts(facts)).chunk(2)
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.training):
+        with half_precision(x, self.training):
             x = functional.conv2d(x, self.layers[0].weight)
             x = functional.relu(x) * a[:, None, None].to(x.dtype)
             x = functional.relu(self.layers[1](x)) * b[:, None, None].to(x.dtype)
@@ -79,7 +79,7 @@ class PhasorSolver(nn.Module):
         self.lowest = nn.Parameter(torch.logit(lowest))  # least eigenvalue of the data steps
         self.doubt = nn.Parameter(torch.full((stages,), -2.0))  # log, share of the misfit forgiven
 
-    def forward(self, y, valid, sigma, rows, cols, blur_hr_px, scale):
+    def forward(self, y, valid, sigma, rows, cols, facts, scale):
         """Return the estimates of all stages [burst 2 row col], and of the last one log std along
         and across the phasor and their correlation [burst 3 row col], in units of y.
         """
@@ -101,7 +101,6 @@ class PhasorSolver(nn.Module):
 
         density = adjoint(w)
         floor = 0.02 * rows.shape[0] / scale**2
-        facts = facts_of(blur_hr_px, scale, rows.shape[0])
         b = adjoint(w * y)
         past = b / (density + floor * 1e-3)
         v = solve(

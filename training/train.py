@@ -16,13 +16,16 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import lru_cache
+from itertools import count
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import torch
-from bursts import Batch, draw_batch, draw_phasors
+from bursts import draw_batch, draw_phasors
 from export import load_exported
-from network import Solver
+from graphs import Replays
+from network import Solver, facts_of
 from phasor_network import PhasorSolver
 from torch.nn import functional
 
@@ -45,7 +48,7 @@ def loss_of(found: list[torch.Tensor], std: torch.Tensor, truth: torch.Tensor) -
     s = torch.sqrt(s * s + 1e-8)
     likelihood = (torch.log(s) + 0.5 * torch.clamp((last / s) ** 2, max=50.0)).mean()
     early = sum(logs[1:-1]) / max(len(logs) - 2, 1)
-    return logs[-1] + 0.15 * early + 0.1 * likelihood, -4.343 * logs[-1].item()
+    return logs[-1] + 0.15 * early + 0.1 * likelihood, -4.343 * logs[-1].detach()
 
 
 def loss_of_phasors(found: list[torch.Tensor], spread: torch.Tensor, truth: torch.Tensor) -> tuple:
@@ -75,18 +78,20 @@ def loss_of_phasors(found: list[torch.Tensor], spread: torch.Tensor, truth: torc
     misfit = torch.clamp((a * a - 2 * both * a * b + b * b) / rest, max=50.0)
     likelihood = (log_along + log_across + 0.5 * torch.log(rest) + 0.5 * misfit).mean()
     early = sum(means[1:-1]) / max(len(means) - 2, 1)
-    shown = -4.343 * torch.log(share).mean().item()
+    shown = -4.343 * torch.log(share).mean().detach()
     return means[-1] + 0.15 * early + 0.1 * likelihood, shown
 
 
-def drawn(given: argparse.Namespace, step: int, ahead: int = 6) -> Iterator[Batch]:
-    """Yield the batches from a step onwards, drawn by another process, the same in every run."""
-    with ProcessPoolExecutor(1) as worker:
-        waiting = deque(worker.submit(_draw, given, step + k) for k in range(ahead))
-        while True:
-            step += 1
-            waiting.append(worker.submit(_draw, given, step + ahead - 1))
-            yield waiting.popleft().result()
+def drawn(given: argparse.Namespace, first: int) -> Iterator[tuple[int, list[torch.Tensor]]]:
+    """Yield scale and tensors of batches, drawn by other processes, the same in every run."""
+    ahead = 6 * given.workers
+    # Processes that are not forked: this one may hold a GPU.
+    with ProcessPoolExecutor(given.workers, get_context("spawn")) as workers:
+        waiting = deque(workers.submit(_draw, given, first + k) for k in range(ahead))
+        for number in count(first + ahead):
+            scale, arrays = waiting.popleft().result()
+            waiting.append(workers.submit(_draw, given, number))
+            yield scale, [torch.from_numpy(values) for values in arrays]
 
 
 @lru_cache(maxsize=1)
@@ -95,10 +100,13 @@ def _pool(worlds: Path) -> np.ndarray:
     return np.load(worlds, mmap_mode="r")
 
 
-def _draw(given: argparse.Namespace, step: int) -> Batch:
-    rng, pool = np.random.default_rng((given.seed, step)), _pool(given.worlds)
+def _draw(given: argparse.Namespace, number: int) -> tuple[int, list[np.ndarray]]:
+    rng, pool = np.random.default_rng((given.seed, number)), _pool(given.worlds)
     draw = draw_phasors if given.phasor else draw_batch
-    return draw(rng, pool, BATCH, given.square)
+    batch = draw(rng, pool, BATCH, given.square)
+    facts = facts_of(batch.blur_hr_px, batch.scale, len(batch.rows))
+    seen = (batch.frames, batch.valid, batch.sigma, batch.rows, batch.cols, facts, batch.truth)
+    return batch.scale, [values.numpy() for values in seen]
 
 
 def rate(step: int, done: float) -> float:
@@ -116,6 +124,9 @@ def main() -> None:
     ask.add_argument("--out", type=Path, default=Path("solver.pt"))
     ask.add_argument("--seed", type=int, default=0)
     ask.add_argument("--threads", type=int, default=1)
+    ask.add_argument("--device", default="cpu", help="'cuda' for a GPU")
+    ask.add_argument("--workers", type=int, default=1, help="processes that draw bursts")
+    ask.add_argument("--batches", type=int, default=1, help=f"of {BATCH} bursts in a step")
     ask.add_argument("--peak", type=float, default=1.0, help="factor of the learning rate")
     ask.add_argument("--phasor", action="store_true", help="train the solver for phasors")
     ask.add_argument("--square", action="store_true", help="four frames on the usual square alone")
@@ -123,38 +134,56 @@ def main() -> None:
     given = ask.parse_args()
     torch.set_num_threads(given.threads)
     torch.manual_seed(given.seed)
-    solver = PhasorSolver() if given.phasor else Solver()
+    solver = (PhasorSolver() if given.phasor else Solver()).to(given.device)
     optimiser = torch.optim.AdamW(solver.parameters(), LEARNING_RATE, weight_decay=1e-4)
     stored = None
     if given.out.exists():
-        stored = torch.load(given.out)
+        stored = torch.load(given.out, map_location=given.device)
         solver.load_state_dict(stored["solver"])
         optimiser.load_state_dict(stored["optimiser"])
     elif given.go_on:
         kind = "phasor" if given.phasor else "square" if given.square else "brightness"
         load_exported(solver, *learned_weights(kind))
-    began, seen, bad = time.monotonic(), [], 0
-    step = stored["step"] if stored else 0
-    batches = drawn(given, step)
+    train(given, solver, optimiser, stored["step"] if stored else 0)
+
+
+def train(
+    given: argparse.Namespace, solver: torch.nn.Module, optimiser: torch.optim.Optimizer, step: int
+) -> None:
+    """Go on from a step until the time is over."""
+    for p in solver.parameters():
+        p.grad = torch.zeros_like(p)
+    judge = loss_of_phasors if given.phasor else loss_of
+
+    def learn(scale: int, tensors: list[torch.Tensor]) -> torch.Tensor:
+        *seen, truth = tensors
+        loss, shown_db = judge(*solver(*seen, scale), truth)
+        (loss / given.batches).backward()
+        return shown_db
+
+    if given.device != "cpu":
+        learn = Replays(solver, learn)
+    batches, shown, bad = drawn(given, given.batches * step), [], 0
+    ready = next(batches)  # the time begins when the first is there
+    began = time.monotonic()
     while (done := (time.monotonic() - began) / 60 / given.minutes) < 1:
         for group in optimiser.param_groups:
             group["lr"] = given.peak * rate(step, done)
-        batch = next(batches)
-        optimiser.zero_grad()
-        loss, psnr = forward(solver, batch)
-        loss.backward()
+        optimiser.zero_grad(set_to_none=False)
+        for _ in range(given.batches):
+            shown.append(learn(*ready))
+            ready = next(batches)
         norm = torch.nn.utils.clip_grad_norm_(solver.parameters(), 1.0)
         if torch.isfinite(norm):
             optimiser.step()
         else:
             bad += 1
-        seen.append(psnr)
         step += 1
         if step % 200 == 0:
-            spent = time.monotonic() - began
-            sys.stdout.write(f"{step} {spent:.0f} s {np.mean(seen):.3f} dB, {bad} left out\n")
+            spent, mean_db = time.monotonic() - began, torch.stack(shown).mean().item()
+            sys.stdout.write(f"{step} {spent:.0f} s {mean_db:.3f} dB, {bad} left out\n")
             sys.stdout.flush()
-            seen = []
+            shown = []
             torch.save(stored_of(solver, optimiser, step), given.out)
     sys.stdout.write(f"{step} steps\n")
     torch.save(stored_of(solver, optimiser, step), given.out)
@@ -163,14 +192,6 @@ def main() -> None:
 def stored_of(solver: Solver, optimiser: torch.optim.Optimizer, step: int) -> dict:
     """Return all that a later run needs to go on."""
     return {"solver": solver.state_dict(), "optimiser": optimiser.state_dict(), "step": step}
-
-
-def forward(solver: Solver | PhasorSolver, batch: Batch) -> tuple:
-    """Return loss and PSNR of one batch; convolutions in bfloat16, data steps in float32."""
-    found, std = solver(batch.frames, batch.valid, batch.sigma, batch.rows, batch.cols,
-                        batch.blur_hr_px, batch.scale)  # fmt: skip
-    judge = loss_of_phasors if isinstance(solver, PhasorSolver) else loss_of
-    return judge(found, std, batch.truth)
 
 
 if __name__ == "__main__":

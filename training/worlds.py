@@ -12,6 +12,8 @@ import argparse
 import string
 import sys
 import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -314,25 +316,26 @@ def _points(rng: Generator, size: int) -> Canvas:
     return canvas.astype(np.float32)
 
 
-def main() -> None:
-    """Write a pool of scenes [scene row col] in half precision."""
-    ask = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+def write_pool(draw: Callable[[Generator], Canvas], what: str, out: str) -> None:
+    """Write a pool of scenes in half precision, as the command line asks; each has its own seed."""
+    ask = argparse.ArgumentParser(description=what)
     ask.add_argument("--count", type=int, default=4000)
     ask.add_argument("--seed", type=int, default=1)
-    ask.add_argument("--out", type=Path, default=Path("worlds.npy"))
+    ask.add_argument("--workers", type=int, default=1)
+    ask.add_argument("--out", type=Path, default=Path(out))
     given = ask.parse_args()
-    rng = np.random.default_rng(given.seed)
-    pool = np.lib.format.open_memmap(
-        given.out, mode="w+", dtype=np.float16, shape=(given.count, SIZE, SIZE)
-    )
-    began = time.monotonic()
-    for number in range(given.count):
-        pool[number] = scene(rng)
-        if number % 100 == 99:
-            sys.stdout.write(f"{number + 1} scenes, {time.monotonic() - began:.0f} s\n")
-            sys.stdout.flush()
-    pool.flush()
+    rngs = (np.random.default_rng((given.seed, number)) for number in range(given.count))
+    began, pool = time.monotonic(), None
+    with ProcessPoolExecutor(given.workers) as workers:
+        for number, one in enumerate(workers.map(draw, rngs, chunksize=20)):
+            if pool is None:
+                shape = (given.count, *one.shape)
+                pool = np.lib.format.open_memmap(given.out, "w+", np.float16, shape)
+            pool[number] = one
+            if number % 100 == 99:
+                sys.stdout.write(f"{number + 1} scenes, {time.monotonic() - began:.0f} s\n")
+                sys.stdout.flush()
 
 
 if __name__ == "__main__":
-    main()
+    write_pool(scene, __doc__.split("\n")[0], "worlds.npy")
