@@ -12,18 +12,8 @@ from scipy.ndimage import median_filter
 
 from lensshift import Burst, QualityWarning, reconstruct
 from lensshift.reconstruction.noise import light_of
-from lensshift.reconstruction.noise_law import (
-    REFILLED,
-    NoiseLaw,
-    _blocks,
-    _continued,
-    _filters,
-    _padded_shape,
-    _refilled,
-    _residuals,
-    _sampled,
-    noise_law,
-)
+from lensshift.reconstruction.noise_law import NoiseLaw, _blocks, _sampled, noise_law
+from lensshift.reconstruction.smooth_fit import smooth_fits
 
 SHAPE = (43, 56)
 USED = np.ones((4, *SHAPE))
@@ -231,61 +221,19 @@ def test_what_was_found_of_the_noise_is_told() -> None:
     assert told == pytest.approx({"a": 4.0, "b": 0.0})
 
 
-@pytest.mark.parametrize("shape", [(16, 21), (23, 24)])
-@pytest.mark.parametrize("count", [1, 5])
-def test_what_a_bright_pixel_becomes_tells_how_much_noise_passes_a_filter(
-    shape: tuple[int, int], count: int
-) -> None:
-    """White noise is many bright pixels: it grows as the root of the sum of squares of one."""
-    offset_px = np.random.default_rng(count).uniform(-0.5, 0.5, (count, 2))
-    filters = _filters(offset_px.tobytes(), count, shape, 0.3, 1)
-    answer = np.fft.irfft2(filters.response, _padded_shape(shape))  # [fit frame frame row col]
-    np.testing.assert_allclose(np.sqrt(np.sum(answer**2, axis=(2, 3, 4))), filters.gain, rtol=2e-3)
-    own = answer[1, np.arange(count), np.arange(count), 0, 0]
-    np.testing.assert_allclose(np.sqrt(own), filters.share, rtol=1e-5)
-
-
-@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_missing_pixels_are_filled_in_as_the_fit_expects_in_any_unit(
-    seed: int, unit: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    filters = _filters(SQUARE_PX.tobytes(), 4, (17, 22), 0.3, 1)
-    values = photograph(smooth_scene, (17, 22), SQUARE_PX).astype(np.float32)[None]
-    missing = rng.random(values.shape) < 0.1
-    values[missing] = rng.standard_normal(missing.sum())
-    filled = _refilled(np.float32(unit) * values, missing, filters)
-    np.testing.assert_array_equal(filled[~missing], np.float32(unit) * values[~missing])
-    rest, before = (
-        np.linalg.norm(_residuals(x, filters, slice(1, 2))[0][missing])
-        for x in (filled, np.float32(unit) * values)
-    )
-    assert rest < 2 * REFILLED * before
-
-
-@pytest.mark.parametrize("pad", [0, 1, 2, 4])
-@pytest.mark.parametrize("axis", [2, 3])
-def test_frames_go_on_as_their_mirror_image_turned_over(axis: int, pad: int) -> None:
-    values = np.random.default_rng(pad).standard_normal((2, 3, 7, 10))
-    room = [(pad, pad) if n == axis else (0, 0) for n in range(4)]
-    expected = np.pad(values, room, mode="reflect", reflect_type="odd")
-    np.testing.assert_allclose(_continued(values, pad, axis), expected, atol=1e-12)
-
-
 @pytest.mark.parametrize("shape", [(7, 10), (3, 16), (9, 3), (2, 12)])
 def test_the_border_says_nothing_where_there_is_a_middle(shape: tuple[int, int]) -> None:
     inner = tuple(slice(1, -1) if n > 2 else slice(None) for n in shape)
     light = np.full((1, 4, *shape), 1e3)
     light[..., *inner] = 2.0
-    filters = _filters(SQUARE_PX.tobytes(), 4, shape, 0.3, 1)
+    fits = smooth_fits(SQUARE_PX.tobytes(), 4, shape, 0.3)
     flat, used = np.zeros(light.shape, np.float32), np.ones(light.shape, bool)
-    np.testing.assert_allclose(_blocks(flat, used, filters, light, 1)[1], 2.0)
+    np.testing.assert_allclose(_blocks(flat, used, fits, light, 1)[1], 2.0)
 
 
 def test_blocks_of_which_a_third_or_less_is_used_count_only_if_there_are_no_others() -> None:
     shape = (21, 30)
-    filters = _filters(SQUARE_PX.tobytes(), 4, shape, 0.3, 1)
+    fits = smooth_fits(SQUARE_PX.tobytes(), 4, shape, 0.3)
     row, col = np.indices(shape)
     used = np.zeros((1, 4, *shape), bool)
     used[0, 0] = True
@@ -294,8 +242,8 @@ def test_blocks_of_which_a_third_or_less_is_used_count_only_if_there_are_no_othe
     used[..., 15:] = True
     flat = np.zeros(used.shape, np.float32)
     light[..., 15:] = 2.0
-    np.testing.assert_allclose(_blocks(flat, used, filters, light, 1)[1], 2.0)
-    np.testing.assert_allclose(_blocks(flat, few, filters, 9.0 * few, 1)[1], np.full(70, 9.0))
+    np.testing.assert_allclose(_blocks(flat, used, fits, light, 1)[1], 2.0)
+    np.testing.assert_allclose(_blocks(flat, few, fits, 9.0 * few, 1)[1], np.full(70, 9.0))
 
 
 @pytest.mark.parametrize("shape", [(5, 8), (2, 7), (1, 4), (9, 3), (10, 12)])

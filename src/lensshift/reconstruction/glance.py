@@ -77,7 +77,10 @@ def _lone(values: Array) -> Mask:
     windows = np.lib.stride_tricks.sliding_window_view(
         np.pad(values, ((0, 0), (1, 1), (1, 1)), mode="symmetric"), (3, 3), (1, 2)
     )
-    apart = values - np.median(windows, axis=(0, 3, 4))
+    around = np.moveaxis(windows, 0, 2).reshape(*values.shape[1:], -1)
+    around.sort(axis=-1)  # several times as fast as `median`
+    count = around.shape[-1]
+    apart = values - 0.5 * (around[..., (count - 1) // 2] + around[..., count // 2])
     usual = np.maximum(usual_size(apart), MAD_TO_SIGMA * np.median(np.abs(apart)))
     return np.asarray(np.abs(apart) > STANDS_OUT * usual)
 
