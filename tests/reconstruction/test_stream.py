@@ -412,8 +412,9 @@ def test_distances_alone_are_held_against_the_picture_as_well():
     assert np.sqrt(np.mean((found[-1].distance_m.image - after)[INNER] ** 2)) < 0.05
 
 
-def test_something_that_moves_is_computed_anew_and_said():
-    truth, rng, one = scene(43).truth, np.random.default_rng(9), camera(pace="live")
+@pytest.mark.parametrize("seed", [9, 10, 11])  # frames of it seemed to be of another place
+def test_something_that_moves_is_computed_anew_and_said(seed):
+    truth, rng, one = scene(43).truth, np.random.default_rng(seed), camera(pace="live")
     run(one, clean_frames(truth), 8, sigma=0.01, rng=rng)
     moved = truth.copy()
     moved[10:22, 14:26] += 0.6
@@ -423,9 +424,10 @@ def test_something_that_moves_is_computed_anew_and_said():
     assert found.settings["event"] is None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", QualityWarning)
-        found = run(one, clean_frames(moved), 4, sigma=0.01, rng=rng, first=1)[-1]
-    assert found.settings["pace"] == "live"
-    assert error(found, moved) < 0.05
+        later = run(one, clean_frames(moved), 4, sigma=0.01, rng=rng, first=1)
+    assert [one.settings["event"] for one in later] == [None] * 4
+    assert later[-1].settings["pace"] == "live"
+    assert error(later[2], moved) < 0.015
 
 
 def test_a_surface_that_only_comes_nearer_is_computed_anew():
@@ -484,18 +486,16 @@ def known(expected, noise):
     return stream._Known(found, {2: frame}, found)
 
 
-@pytest.mark.parametrize(("shape", "counted"), [((1, 9), 9), ((14, 2), 28), ((3, 9), 7)])
-def test_narrow_frames_count_as_a_whole_and_others_without_their_border(shape, counted):
+@pytest.mark.parametrize("shape", [(1, 9), (14, 2), (3, 9)])
+def test_narrow_frames_count_as_a_whole(shape):
     """Of a chequerboard; a level would be light that flickers."""
     one, valid = known(np.ones(shape), 0.02), np.ones(shape, bool)
     board = (-1.0) ** np.add.outer(*map(np.arange, shape))
     for size, share in ((0.0, 0.0), (0.5, 1.0)):
-        _, share_seen, squares = one.against(Frame(1 + size * board, None, valid, 0.0), 2)
+        _, share_seen = one.against(Frame(1 + size * board, None, valid, 0.0), 2)
         assert share_seen == share
-        assert squares == pytest.approx(counted * size**2, rel=0.1)
-    _, share_seen, squares = one.against(Frame(np.full(shape, 1.5), None, valid, 0.0), 2)
+    _, share_seen = one.against(Frame(np.full(shape, 1.5), None, valid, 0.0), 2)
     assert share_seen == 0
-    assert squares < 1e-4 * counted * 0.5**2
 
 
 @pytest.mark.parametrize(("shape", "inside"), [((3, 14), 3), ((9, 12), 6)])
@@ -510,9 +510,8 @@ def test_one_pixel_contradicts_in_all_around_but_the_border(shape, inside, slope
         y = expected.copy()
         y[1, 6] += size
         y[0, 9] -= 0.5 * least
-        _, share_seen, squares = one.against(Frame(y, None, valid, 0.0), 2)
+        _, share_seen = one.against(Frame(y, None, valid, 0.0), 2)
         assert share_seen == pytest.approx(contradict / ((shape[0] - 2) * (shape[1] - 2)))
-        assert squares == pytest.approx(size**2, rel=0.15)
 
 
 @pytest.mark.parametrize(

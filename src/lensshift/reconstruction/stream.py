@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lensshift.core.burst_checks import all_valid
 from lensshift.core.errors import QualityWarning
 from lensshift.core.local_means import mean_around
 from lensshift.core.types import Burst, Frame, Reconstruction, Status
@@ -26,7 +27,8 @@ CONTRADICTS, MOST = 4.0, 0.5
 # With more than this part of the pixels something moves. Noise alone has a mean of nine squares
 # beyond four variances at 4e-5 of them.
 RESTS = 0.001
-# A frame was taken elsewhere on the plan if there it leaves less than this part of the squares.
+# A frame was taken elsewhere on the plan if there it contradicts in less than this part of where it
+# does at its own place: what moved contradicts at all of them.
 BETTER_PLACE = 0.5
 # Rounds of the plan after which all is computed anew, so that nothing drifts.
 REFINED_ROUNDS = 1
@@ -163,15 +165,15 @@ class Stream:
         known = self._known
         if known is None or at not in self._frames or at not in known.frames:
             return at, None, False  # what nobody saw may be anything
-        changed, share, squares = known.against(frame, at)
+        changed, share = known.against(frame, at)
         if share <= RESTS:
             if self._pace != "refined":
                 self._known = replace(known, latest=following(known.latest, changed))
             return at, None, True
         if place is None and len(known.frames) == count > 1:
-            others = {k: known.against(frame, k)[2] for k in known.frames if k != at}
+            others = {k: known.against(frame, k)[1] for k in known.frames if k != at}
             best = min(others, key=others.__getitem__)
-            if others[best] < BETTER_PLACE * squares:
+            if others[best] < BETTER_PLACE * share:
                 self._warn(f"frames were lost: the one after place {self._next} is of {best}")
                 return best, "frames lost", False
         if share > MOST:
@@ -200,8 +202,8 @@ class _Known:
     latest: Reconstruction
     left: dict[int, dict[str, View]] = field(default_factory=dict)
 
-    def against(self, frame: Frame, at: int) -> tuple[dict[str, View], float, float]:
-        """Return what changed since the frame of that place; what share contradicts; squares of it.
+    def against(self, frame: Frame, at: int) -> tuple[dict[str, View], float]:
+        """Return what changed since the frame of that place, and what share contradicts.
 
         By more than that frame did, of which the picture is, and than light that flickers does.
         """
@@ -211,12 +213,12 @@ class _Known:
         views, left = views_of(self.latest, frame, number), self.left[at]
         changed = {name: one.since(left[name]) for name, one in views.items() if name in left}
         if not changed:  # as of a frame without distances
-            return {}, MOST, 0.0
+            return {}, MOST
         name, first = next(iter(changed.items()))
         squares = views[name].without(first.change).squares
         around = mean_around(squares / (first.variance + mean_around(left[name].squares, 3)), 3)
         inner = (slice(1, -1), slice(1, -1)) if min(around.shape) > 2 else (slice(None),) * 2
-        return changed, float(np.mean(around[inner] > CONTRADICTS)), float(squares[inner].sum())
+        return changed, float(np.mean(around[inner] > CONTRADICTS))
 
 
 def stream(
@@ -265,8 +267,8 @@ def stream(
     name = make_method(method, dict(settings.pop("options", {}))).name
     if isinstance(plan, Burst):  # of which a place may have shown nothing
         template = replace(
-            plan, amplitude=np.zeros(plan.amplitude.shape), valid=None, distance_m=None,
-            phasors=None, raw={},
+            plan, amplitude=np.zeros(plan.amplitude.shape), valid=all_valid(),
+            distance_m=None, phasors=None, raw={},
         )  # fmt: skip
     else:
         offset_px = np.asarray(plan, np.float64)
