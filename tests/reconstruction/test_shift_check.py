@@ -26,7 +26,8 @@ SIGMA = 0.016
 
 
 def doubtful_shifts(frames: Array, offset_px: Array, valid: Array | None = None) -> Doubt | None:
-    look = glance.glance(frames, offset_px, valid)
+    seen = np.ones(np.shape(frames), bool) if valid is None else valid
+    look = glance.glance(frames, offset_px, seen)
     return look and shift_check.doubtful_shifts(look, 2)
 
 

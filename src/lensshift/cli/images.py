@@ -103,7 +103,7 @@ def measured_image(
         burst = load_burst(path)
         pitch, told = _pitch_of(burst.grid, 1, path, pitch_mm)
         values = _one_frame(_burst_channel(burst, path, named), path, frame)
-        valid = None if burst.valid is None else _one_frame(burst.valid, path, frame)
+        valid = _one_frame(burst.valid, path, frame)
         return Measured(values, pitch, told, valid)
     if kind is not Kind.STACK:
         one = kind is Kind.RECONSTRUCTION

@@ -86,7 +86,7 @@ def simulate(current: Session, asked: _SimulateOptions) -> None:
         )
     burst = capture.burst
     rows, cols = burst.grid.shape
-    valid = float(burst.valid.mean()) if burst.valid is not None else 1.0
+    valid = float(burst.valid.mean())
     files = [out, truth_file, *([phases] if phases is not None else [])]
     current.say(f"{burst.frame_count} frames of {rows} x {cols} px, {100 * valid:.1f} % valid")
     current.wrote(*files)

@@ -42,11 +42,16 @@ def unmasked(*arrays: ArrayLike | None) -> Mask | None:
     return np.logical_and.reduce(masks) if masks else None
 
 
-def as_valid(valid: Array | None, frames: Array) -> Mask:
-    """Return a mask of the frames' shape in which not everything is False; None: all True."""
-    if valid is None:
-        return np.ones(frames.shape, dtype=np.bool_)
-    mask = np.asarray(valid)
+def all_valid() -> Mask:
+    """Return what stands for a mask of any shape without a False."""
+    return np.ones((), np.bool_)
+
+
+def as_valid(valid: Array, frames: Array) -> Mask:
+    """Return a mask of the frames' shape in which not everything is False."""
+    mask = np.asarray(True if valid is None else valid)
+    if mask.ndim == 0 and mask.dtype == np.bool_ and mask:
+        mask = np.broadcast_to(mask, frames.shape)
     if mask.shape != frames.shape:
         raise DataError(
             f"expected shape {frames.shape} like amplitude, got {mask.shape}", field="valid"

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import frozen
 from lensshift.core.burst_checks import (
+    all_valid,
     as_frames,
     as_frequencies,
     as_numbers,
@@ -69,7 +70,7 @@ class Burst(Shown, AsDataset, AsTable):
     offset_px : [frame 2] (row, col); positive: the content moved down / right in that frame
     grid : the LR sampling grid
     distance_m : [frame row col] radial distance, or None
-    valid : [frame row col] False where a pixel must not be used; None: all of them are good
+    valid : [frame row col] False where a pixel must not be used; by default all are good
     offset_sigma_px : [frame 2] standard deviation of `offset_px`, or None
     offset_source : where the offsets come from; "unknown": all are 0 until `register` finds them
     affine : [frame 2 2] how frames turn, grow and shear, or None: pixel u is moved by
@@ -93,7 +94,7 @@ class Burst(Shown, AsDataset, AsTable):
     offset_px: NDArray[np.float64]
     grid: Grid
     distance_m: NDArray[Any] | None = None
-    valid: NDArray[np.bool_] | None = None
+    valid: NDArray[np.bool_] = field(default_factory=all_valid)
     offset_sigma_px: NDArray[np.float64] | None = None
     offset_source: OffsetSource = "planned"
     affine: NDArray[np.float64] | None = None
@@ -204,13 +205,11 @@ class Burst(Shown, AsDataset, AsTable):
             offset_px=np.zeros((len(frames), 2)) if offset_px is None else np.asarray(offset_px),
             grid=grid,
             distance_m=None if distance_m is None else np.asarray(distance_m),
-            valid=None if valid is None else np.asarray(valid),
+            valid=all_valid() if valid is None else np.asarray(valid),
             modulation_hz=frequencies,
             **fields,
         )
-        doubts = doubts_about_distances(
-            frames, burst.distance_m, as_valid(burst.valid, frames), burst.frequencies_hz
-        )
+        doubts = doubts_about_distances(frames, burst.distance_m, burst.valid, burst.frequencies_hz)
         for doubt in filter(None, [doubt_about_pitch(max(grid.pitch_mm)), *doubts]):
             warnings.warn(doubt, QualityWarning, stacklevel=2)
         return burst

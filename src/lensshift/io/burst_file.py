@@ -232,9 +232,8 @@ def _variables(burst: Burst) -> dict[str, writer.Variable]:
     if burst.phasors is not None:
         label = "phasor of each modulation frequency"
         variables["phasors"] = writer.measured(("frequency", *_AXES), burst.phasors, "1", label)
-    invalid = np.zeros(burst.amplitude.shape) if burst.valid is None else ~burst.valid
     variables["flags"] = writer.Variable(
-        _AXES, invalid.astype(np.uint8), writer.flag_attributes("invalid")
+        _AXES, (~burst.valid).astype(np.uint8), writer.flag_attributes("invalid")
     )
     for field, (name, units, label) in _PAIRS.items():
         pairs = getattr(burst, field)

@@ -37,7 +37,7 @@ def picture_layers(value: Burst | Reconstruction) -> list[PictureLayer]:
         found = [PictureLayer("amplitude", _real(value.amplitude))]
         if value.distance_m is not None:
             found.append(PictureLayer("distance", _real(value.distance_m), "m"))
-        if value.valid is not None and not value.valid.all():
+        if not value.valid.all():
             found.append(PictureLayer("valid", value.valid))
         return found
     found = []

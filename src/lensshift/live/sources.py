@@ -189,9 +189,8 @@ class BurstSource(Source):
             if math.isfinite(self._rate_hz):
                 time.sleep(1.0 / self._rate_hz)
             now_s = time.monotonic()
-            valid = np.ones(burst.grid.shape, bool) if burst.valid is None else burst.valid[number]
             distance_m = None if burst.distance_m is None else burst.distance_m[number]
-            frame = Frame(burst.amplitude[number], distance_m, valid, now_s)
+            frame = Frame(burst.amplitude[number], distance_m, burst.valid[number], now_s)
             stage, sent = (
                 None if places_mm is None else places_mm[number]
                 for places_mm in (burst.stage_mm, burst.stage_commanded_mm)

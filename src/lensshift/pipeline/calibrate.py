@@ -94,7 +94,7 @@ def psf_width_px(burst: Burst) -> tuple[float, float] | None:
 
     every = -(-burst.frame_count // _MOST_FRAMES)
     frames, offset_px = burst.amplitude[::every], burst.offset_px[::every]
-    valid = None if burst.valid is None else burst.valid[::every]
+    valid = burst.valid[::every]
     widths = []
     for region in _edges(burst):
         with warnings.catch_warnings(action="ignore", category=QualityWarning):

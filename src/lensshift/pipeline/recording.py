@@ -217,9 +217,8 @@ def _blank(job: Windows, template: Burst) -> dict[str, Array]:
 
 def _frame(burst: Burst, k: int) -> Frame:
     distance_m = None if burst.distance_m is None else burst.distance_m[k]
-    valid = np.ones(burst.grid.shape, bool) if burst.valid is None else burst.valid[k]
     time_s = float("nan") if burst.time_s is None else float(burst.time_s[k])
-    return Frame(burst.amplitude[k], distance_m, valid, time_s)
+    return Frame(burst.amplitude[k], distance_m, burst.valid[k], time_s)
 
 
 def _showing(source: Recording, window: int) -> int:

@@ -133,5 +133,4 @@ def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:
         QualityWarning,
         stacklevel=stacklevel + 1,
     )
-    valid = ~stuck if burst.valid is None else burst.valid & ~stuck
-    return replace(burst, valid=np.broadcast_to(valid, y.shape))
+    return replace(burst, valid=burst.valid & ~stuck)

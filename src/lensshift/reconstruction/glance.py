@@ -50,14 +50,13 @@ class Glance:
         return self.found_px - self.given_px
 
 
-def glance(frames: ArrayLike, offset_px: ArrayLike, valid: Mask | None) -> Glance | None:
+def glance(frames: ArrayLike, offset_px: ArrayLike, valid: Mask) -> Glance | None:
     """Return what some frames tell at a glance, None if that is too little."""
     values = np.abs(np.asarray(frames))
-    seen = np.ones(values.shape, np.bool_) if valid is None else np.asarray(valid, np.bool_)
     evenly = np.linspace(0, len(values) - 1, min(len(values), MOST_FRAMES)).round()
     some = np.unique(evenly.astype(np.intp))
     offsets = np.asarray(offset_px, np.float64)[some]
-    values, seen, given, about = _part(values[some], seen[some], offsets)
+    values, seen, given, about = _part(values[some], valid[some], offsets)
     if len(values) < 2 or min(values.shape[1:]) < LEAST_PX or seen.mean() < 0.5:
         return None
     values = (values - np.median(values[seen])) / max(float(np.std(values[seen])), 1e-300)

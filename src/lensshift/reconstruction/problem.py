@@ -178,7 +178,6 @@ def make_problem(
         of the values would not see the scene
     keep_outside : whether pixels count that look outside the HR image
     """
-    usable = burst.valid if burst.valid is not None else np.ones(values.shape, np.bool_)
     if shift_field is not None:
         if shift_field.offset_px.shape != (*values.shape, 2):
             raise ValueError(
@@ -191,11 +190,11 @@ def make_problem(
         )  # fmt: skip
     else:
         model = forward_model(burst.grid.shape, scale, burst.offset_px, blur=blur)
-    weight = (usable & model.inside).astype(np.float64)
+    weight = (burst.valid & model.inside).astype(np.float64)
     if not weight.any():
         raise DataError("no valid pixel sees the scene; are they in pixels?", field="offset_px")
     if keep_outside:
-        weight = usable.astype(np.float64)
+        weight = burst.valid.astype(np.float64)
     least = None
     if pixel_variance is not None:
         share, least = _variance_weight(pixel_variance, weight)

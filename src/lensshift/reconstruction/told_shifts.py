@@ -82,8 +82,7 @@ def _mended(told: Told, look: Glance, request: Request) -> Told:
     if np.abs(look.apart_px).max() > REACH_PX:
         return told
     burst, part = told.burst, told.part
-    valid = np.ones(part.amplitude.shape, np.bool_) if part.valid is None else part.valid
-    found = corrected_shifts(part.amplitude, valid, part.offset_px)
+    found = corrected_shifts(part.amplitude, part.valid, part.offset_px)
     if found is None or not surely_better(look, found.offset_px):
         return told
     used = list(request.frames or range(burst.frame_count))

@@ -179,7 +179,7 @@ def _refined(field: LensField, bent: Floats, matrix: Floats) -> tuple[LensField,
 def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Floats]:
     """Return the scan with registered offsets and their covariance [2 frame, 2 frame]."""
     frames = frames_of(burst, "amplitude")
-    valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
+    valid = burst.valid
     whole = filled(frames, valid)
     starts = _starts(burst, phase_shifts(whole, 0))
     found = likely_shifts(frames, valid, _best_of(starts, whole, valid), photometric=photometric)

@@ -46,7 +46,7 @@ def fit_field(
         np.abs(burst.amplitude) if np.iscomplexobj(burst.amplitude) else burst.amplitude
     )
     frames = frames.astype(np.float64)
-    weight = np.ones(frames.shape) if burst.valid is None else burst.valid.astype(np.float64)
+    weight = burst.valid.astype(np.float64)
     frames = np.where(weight > 0, frames, 0.0)
     known_px = np.broadcast_to(known_px, (2, *frames.shape))
     best: Floats | None = None

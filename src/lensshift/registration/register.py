@@ -105,9 +105,8 @@ def register(
     if len(kept) < burst.frame_count:
         burst, frames = burst.select(kept.tolist()), frames[kept]
         reference = int(np.searchsorted(kept, reference)) % len(kept)
-    valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
-    stuck = None if np.iscomplexobj(frames) else stuck_pixels(frames, valid)
-    valid = valid if stuck is None else valid & ~stuck
+    stuck = None if np.iscomplexobj(frames) else stuck_pixels(frames, burst.valid)
+    valid = burst.valid if stuck is None else burst.valid & ~stuck
     if channel == "amplitude":
         for said in doubts_about_frames(frames, valid, photometric=photometric):
             warnings.warn(said, QualityWarning, stacklevel=2)
@@ -150,11 +149,10 @@ def register(
 
 def _seen(burst: Burst, frames: Array) -> NDArray[np.intp]:
     """Return the numbers of the frames whose valid pixels tell a shift; warn of others."""
-    valid = np.ones(frames.shape, np.bool_) if burst.valid is None else burst.valid
-    count = valid.sum(axis=(1, 2))
+    count = burst.valid.sum(axis=(1, 2))
     few = count < max(1.0, LEAST_VALID * count.max())
     blank = np.array([np.ptp(f.real[v]) == np.ptp(f.imag[v]) == 0 if v.any() else False
-                      for f, v in zip(frames, valid, strict=True)])  # fmt: skip
+                      for f, v in zip(frames, burst.valid, strict=True)])  # fmt: skip
     kept = np.flatnonzero(~few & ~blank)
     if len(kept) < 2:
         said = f"expected valid pixels that differ in at least 2 frames, got {len(kept)}"
@@ -190,8 +188,7 @@ def _of_all(burst: Burst, kept: NDArray[np.intp], found: dict[str, Any]) -> dict
         if values is not None:
             whole[name][shown] = values
     if burst.offset_source == "unknown":
-        valid = np.ones(burst.amplitude.shape, np.bool_) if burst.valid is None else burst.valid
-        whole["valid"] = valid & shown[:, None, None]
+        whole["valid"] = burst.valid & shown[:, None, None]
     return whole
 
 

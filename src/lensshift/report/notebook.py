@@ -124,8 +124,7 @@ def _frame_columns(burst: Burst) -> dict[str, Any]:
             columns[f"{stem}_{axis}_{unit}"] = pairs[:, index]
     if burst.time_s is not None:
         columns["time_s"] = burst.time_s
-    valid = np.ones(burst.frame_count) if burst.valid is None else burst.valid.mean(axis=(1, 2))
-    return columns | {"valid_share": valid}
+    return columns | {"valid_share": burst.valid.mean(axis=(1, 2))}
 
 
 def _picture(value: Shown) -> str:
@@ -168,7 +167,7 @@ def _burst_figure(burst: Burst) -> Figure:
             left.subplots(*shape, squeeze=False).flat, images.items(), strict=True
         ):
             colours = "gray" if label == "amplitude" else "viridis"
-            known = np.where(burst.valid[0], image, np.nan) if burst.valid is not None else image
+            known = np.where(burst.valid[0], image, np.nan)
             title = f"frame 0 of {burst.frame_count}: {label}"
             add_scale(axes, draw_image(axes, known, title, colours=colours), "")
         place = right.subplots()

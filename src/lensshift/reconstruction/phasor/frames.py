@@ -119,7 +119,7 @@ def polar_frames(burst: Burst) -> PolarFrames:
             "surfaces has mixed each by itself; give the phasors of each, or take channel distance"
         )
     modulation_hz = burst.frequencies_hz[0] if burst.frequencies_hz else None
-    valid = np.ones(burst.amplitude.shape, np.bool_) if burst.valid is None else burst.valid
+    valid = burst.valid
     if burst.amplitude.dtype.kind == "c":
         return _from_complex(np.where(valid, burst.amplitude, 0), modulation_hz)
     if burst.distance_m is None:
