@@ -338,3 +338,15 @@ def test_outliers_lie_nowhere_else() -> None:
     slopes, r = 20 * rng.standard_normal((2, 4, 15, 15)), rng.standard_normal((4, 15, 15))
     r[rng.random(r.shape) < 0.05] = 500.0
     assert displaced(r, slopes, np.ones(r.shape), np.ones(r.shape)).max() < 1.0
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+@pytest.mark.parametrize("count", [4, 9])
+def test_the_noise_of_an_even_scene_lies_nowhere_else(count: int, tilt: float) -> None:
+    """It is in the slopes of the picture and in the residuals of its frame, which go together."""
+    for seed in (5, 6, 7):
+        rng, shape = np.random.default_rng([seed, count]), (64, 80)
+        offset_px = square(2) if count == 4 else rng.uniform(-0.5, 0.5, (9, 2))
+        col = np.arange(shape[1]) - offset_px[:, 1, None, None]
+        noise = 0.02 * rng.standard_normal((count, *shape))
+        assert warned(burst_of(1 + tilt * col / shape[1] + noise, offset_px)) == []

@@ -143,9 +143,11 @@ def elsewhere(
 
     The residuals of a frame that lies elsewhere go with its slopes; where these are large it has to
     contradict. Outliers count as far as they are like the others. Directions in which a shift is
-    not told, as along a single edge, are left out.
+    not told, as along a single edge, are left out. So are slopes below the noise, which may be
+    noise: that is in the residuals of its frame as well, and goes with them.
     """
-    on = some_pixels(used)
+    energy = np.sum(np.abs(slopes) ** 2, axis=0)
+    on = some_pixels(used & (around(energy, np.ones_like(energy), 3, 0.0) > variance))
     enough = on.sum(axis=-1) >= WINDOW_PX**2
     known = some_pixels(slopes.swapaxes(0, 1))
     found, covariance = reweighted(known, some_pixels(variance), some_pixels(r), on)
@@ -155,7 +157,8 @@ def elsewhere(
         if not enough[k] or np.hypot(down, right) - SURE * error[k] < LEAST_OFF_PX:
             continue
         shown = np.abs(down * slopes[0, k] + right * slopes[1, k]) ** 2 / variance[k]
-        telling = used[k] & (mean_around(np.minimum(shown, MOST_SQUARE), WINDOW_PX) > limit)
+        square = around(np.minimum(shown, MOST_SQUARE), used[k], WINDOW_PX, 1.0)
+        telling = used[k] & (square > limit)
         if not telling.any() or np.mean(doubt[k][telling] > 1.0) >= LEAST_SHARE:
             off_px[k] = (float(down), float(right))
             everywhere &= float(telling[used[k]].mean()) > TELLING_SHARE

@@ -189,8 +189,8 @@ def _blocks(
     values : [component window, frame row col]
     judged : [component window, frame row col] pixels that count
     lit : [component window, frame row col] light
-    silent : [component window, frame row col] pixels that tell nothing, nor do blocks with one,
-        while there are others
+    silent : [component window, frame row col] pixels that tell nothing, nor do blocks with one
+        while there are others, nor what is left of a block while there is something
     """
     rest = fits.residuals(values)
     inner = np.zeros(values.shape, np.float32)
@@ -208,7 +208,9 @@ def _blocks(
     full = share > 1 / 3 if (share > 1 / 3).any() else share > 0
     if silent.any():
         marked = _sampled(np.asarray(silent.any(axis=1), np.float32)).reshape(full.shape)
-        telling = full & (marked == 0)
+        telling, others = full & (marked == 0), judged & ~silent
+        if not telling.any() and others.any():  # such pixels are in all blocks
+            return _blocks(values, others, fits, lit, components)
         full = telling if telling.any() else full
     return energy[:, full] / share[full], light[full] / share[full]
 
