@@ -261,12 +261,38 @@ def test_edges_that_cross_are_clipped_with_a_note() -> None:
     assert 6.0 < lens.elements[0].surfaces[0].semi_diameter_mm < 12.0
 
 
-def test_a_stop_in_cemented_glass_goes_to_the_nearest_vertex() -> None:
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("behind", [False, True])
+def test_a_stop_whose_rim_lies_beside_a_curved_surface(behind: bool, seed: int) -> None:
+    """As in lenses of telephones: its plane cuts the glass, its rim lies in air."""
+    points = np.random.default_rng(seed).uniform(-0.7, 0.7, (9, 2))
+    front, stop = FRONT.replace("STOP; ", ""), "STOP; TYPE STANDARD; DISZ {}"
+    back = BACK.replace("-0.01", "-0.02")
+    surfaces = (
+        (front, back.replace("DISZ 60", "DISZ -0.2"), stop.format(60.2))
+        if behind
+        else (stop.format(-0.2), front, back)
+    )
+    lens = parse_zmx(zmx(FAR, *surfaces, IMAGE))  # nothing is said: it is as it is written
+    rays = trace(lens, FIELD, points)
+    wanted_mm = 0.5 * lens.stop.diameter_mm * points
+    if behind:
+        slopes = rays.direction[..., :2] / rays.direction[..., 2:]
+        assert rays.position_mm - 60.2 * slopes == pytest.approx(wanted_mm, abs=1e-9)
+    else:  # the same rays through the plane of the vertex
+        at_vertex = parse_zmx(zmx(FAR, FRONT, back, IMAGE))
+        same = trace(at_vertex, FIELD, points - 0.2 * FIELD / (0.5 * lens.stop.diameter_mm))
+        assert rays.position_mm == pytest.approx(same.position_mm, abs=1e-10)
+    check_written_again(lens)
+
+
+def test_a_stop_in_cemented_glass_is_taken_in_the_air_beside_it() -> None:
     front = FRONT.replace("STOP; ", "")
     middle = "STOP; TYPE STANDARD; CURV -0.02; DISZ 2; GLAS N-SF11; DIAM 12 1"
-    with pytest.warns(QualityWarning, match=r"stop lies in surfaces 1-3.* 2 mm away"):
+    with pytest.warns(QualityWarning, match=r"stop lies in surfaces 1-3: taken in the air"):
         lens = parse_zmx(zmx(FAR, front, middle, BACK, IMAGE))
-    assert lens.stop.position_mm == pytest.approx(6.0)
+    assert lens.stop.position_mm == pytest.approx(4.0)
+    assert lens.elements_before_stop() == 1
 
 
 def test_a_paraboloid_and_a_cassegrain_image_an_axial_point_perfectly() -> None:

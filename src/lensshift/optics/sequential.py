@@ -107,7 +107,7 @@ def lens_of_entries(
     stops = [number for number, entry in enumerate(entries) if entry.is_stop]
     if len(stops) != 1:
         raise DataError(f"expected one surface marked STOP, got {len(stops)}")
-    stop_mm, rides_on = _stop_place(frames[stops[0]], stops[0], groups, elements, starts_mm, notes)
+    stop_mm, rides_on = _stop_place(frames[stops[0]], stops[0], groups, elements, starts_mm)
     far = math.isinf(entries[0].distance_mm)
     lens = Lens(
         elements=tuple(elements),
@@ -175,19 +175,9 @@ def _stop_place(
     groups: list[list[int]],
     elements: list[Element],
     starts_mm: Floats,
-    notes: list[str],
 ) -> tuple[float, int | None]:
     """Return where the stop is from the first vertex, and which decentred element carries it."""
     at_mm = float(frame.origin[2] - starts_mm[0])
-    for element, start_mm in zip(elements, starts_mm - starts_mm[0], strict=True):
-        end_mm = float(start_mm) + element.length_mm
-        if start_mm + _CLOSE < at_mm < end_mm - _CLOSE:
-            nearest_mm = float(start_mm) if 2 * at_mm < start_mm + end_mm else end_mm
-            notes.append(
-                f"the stop lies in {element.name}: taken at its nearest vertex, "
-                f"{abs(nearest_mm - at_mm):.3g} mm away"
-            )
-            at_mm = nearest_mm
     if np.abs(frame.origin[:2]).max() < _CLOSE:
         return at_mm, None
     carrier = next((i for i, group in enumerate(groups) if number in group), None)
@@ -228,7 +218,20 @@ def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: 
             )
         diameter_mm = min(diameter_mm, widest_mm)
     with about(stop.where()):
-        return replace(lens, stop=replace(lens.stop, diameter_mm=diameter_mm))
+        lens = replace(lens, stop=replace(lens.stop, diameter_mm=diameter_mm))
+    _say_in_glass(lens, notes)
+    return lens
+
+
+def _say_in_glass(lens: Lens, notes: list[str]) -> None:
+    """Note a stop whose rim lies in glass, not beside a curved surface."""
+    at_mm, radius_mm = lens.stop.position_mm, np.array(0.5 * lens.stop.diameter_mm)
+    for element, start_mm in zip(lens.elements, lens.positions_mm(), strict=False):
+        end_mm = start_mm + element.length_mm
+        first, last = (element.surfaces[place].sag_mm(radius_mm) for place in (0, -1))
+        front_mm, back_mm = max(start_mm, start_mm + first), min(end_mm, end_mm + last)
+        if front_mm + _CLOSE < at_mm < back_mm - _CLOSE:
+            notes.append(f"the stop lies in {element.name}: taken in the air beside it")
 
 
 def _groups(entries: list[Entry]) -> Iterable[list[int]]:
