@@ -317,3 +317,40 @@ def test_a_curved_object_is_said_where_it_is_near() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         parse_zmx(zmx(FAR + "; CURV 0.002", FRONT, BACK, IMAGE))
+
+
+def test_a_catalogue_goes_before_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Glass of a melt of its own, and a name that the package has for another glass."""
+    monkeypatch.setattr("lensshift.optics.glass._added", {})
+    melt = "NM N-BK7 1 0 1.517 64\nCD 2.3013\nLD 0.3 2.5\n"
+    other = "NM SILICA 1 0 1.6 60\nCD 2.56\nLD 0.3 2.5\n"
+    (tmp_path / "own.agf").write_text(melt + other)
+    with pytest.warns(QualityWarning, match="N-BK7: taken as given, which is another glass"):
+        load_glass_catalogue(tmp_path / "own.agf")
+    for name, index in (("N-BK7", math.sqrt(2.3013)), ("SILICA", 1.6)):
+        lens = parse_zmx(zmx(FAR, FRONT.replace("N-BK7", name), BACK, IMAGE))
+        assert lens.indices(850.0)[0][0] == pytest.approx(index, abs=1e-12)
+        assert f'name = "{name}"' in format_lens(lens)
+
+
+def test_a_catalogue_that_agrees_with_the_package_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lensshift.optics.glass._added", {})
+    one = "NM N-BK7 2 517642.251 1.5168 64.17\nCD 1.03961212 0.00600069867 0.231792344 "
+    (tmp_path / "own.agf").write_text(
+        one + "0.0200179144 1.01046945 103.560653\nTD _ _ _ _ _ _\nLD 0.31 2.4\n"
+    )
+    load_glass_catalogue(tmp_path / "own.agf")
+    assert "[[glass]]" not in format_lens(parse_zmx(zmx(*SINGLET)))
+
+
+def test_constants_that_contradict_their_entry_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lensshift.optics.glass._added", {})
+    (tmp_path / "own.agf").write_text("NM ODD3 1 0 1.6 60\nCD 2.25\nLD 0.3 2.5\n")
+    with pytest.warns(QualityWarning, match=r"line 1: the constants of ODD3 give n_d 1.5, its ent"):
+        load_glass_catalogue(tmp_path / "own.agf")

@@ -8,10 +8,13 @@ from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.settings import settings_of
 from lensshift.optics.glass import (
     CONSTANT_COUNTS,
+    D_UM,
     NO_CHANGE,
     REFERENCE_TEMPERATURE_C,
+    SAID,
     Glass,
     add_glasses,
+    index_of,
 )
 
 _FORMULAS = {
@@ -19,14 +22,13 @@ _FORMULAS = {
     6: "sellmeier 3", 7: "handbook 1", 8: "handbook 2", 9: "sellmeier 4", 10: "extended",
     11: "sellmeier 5", 12: "extended 2", 13: "extended 3",
 }  # fmt: skip
-
-SAID = 3  # glasses that a warning names
+_CONTRADICTS = 0.01  # between what constants give and what is stated: more than any rounding
 
 
 def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
     """Read a glass catalogue and make its glasses known to lens files by their names.
 
-    Glasses that come with the package keep their constants.
+    They go before those of the package.
 
     Parameters
     ----------
@@ -45,27 +47,32 @@ def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
     Warns
     -----
     QualityWarning
-        Of glasses that are left out, since a number or a formula is wrong: with their lines.
+        Of glasses that are left out, since a number or a formula is wrong: with their lines; of
+        those that replace another glass of the package.
     """
     text = decode(path)
     wrong: list[DataError] = []
+    doubtful: list[str] = []
     with settings_of(path):
-        glasses = parse_agf(text, wrong)
+        glasses = parse_agf(text, wrong, doubtful)
         if not glasses:
             raise wrong[0] if wrong else DataError("expected glasses (NM), got none")
         add_glasses(glasses)
-    if wrong:
-        told = "; ".join(str(one) for one in wrong[:SAID])
-        more = f"; and {len(wrong) - SAID} more" if len(wrong) > SAID else ""
-        text = f"{path}: {len(wrong)} of its glasses are left out: {told}{more}"
-        warn_quality(text)
+    for told, what in ((wrong, "are left out"), (doubtful, "may be wrong")):
+        if told:
+            first = "; ".join(str(one) for one in told[:SAID])
+            more = f"; and {len(told) - SAID} more" if len(told) > SAID else ""
+            warn_quality(f"{path}: {len(told)} of its glasses {what}: {first}{more}")
     return glasses
 
 
-def parse_agf(text: str, wrong: list[DataError] | None = None) -> dict[str, Glass]:
+def parse_agf(
+    text: str, wrong: list[DataError] | None = None, doubtful: list[str] | None = None
+) -> dict[str, Glass]:
     """Return the glasses of a catalogue by name; see `load_glass_catalogue`.
 
-    What is wrong with those that cannot be read is added to `wrong`, or raised without it.
+    What is wrong with those that cannot be read is added to `wrong`, or raised without it; where
+    constants and the n_d of an entry contradict each other that is added to `doubtful`.
     """
     glasses: dict[str, Glass] = {}
     lines: dict[str, tuple[int, list[str]]] = {}
@@ -81,6 +88,8 @@ def parse_agf(text: str, wrong: list[DataError] | None = None) -> dict[str, Glas
                 try:
                     name, glass = _glass(lines)
                     glasses.setdefault(name, glass)
+                    if doubtful is not None:
+                        doubtful += _contradiction(glass, *lines["NM"])
                 except DataError as error:
                     if wrong is None:
                         raise
@@ -123,6 +132,20 @@ def _glass(lines: dict[str, tuple[int, list[str]]]) -> tuple[str, Glass]:
             f"expected a glass as NM name formula, CD constants, LD range, got {words}: {error}",
             field=f"line {number}",
         ) from error
+
+
+def _contradiction(glass: Glass, line: int, words: list[str]) -> list[str]:
+    """Return in words that the constants of a glass do not give the n_d of its entry, if so."""
+    try:
+        stated = float(words[3])
+    except (ValueError, IndexError):
+        return []
+    if stated <= 1.0 or not glass.range_nm[0] <= 1e3 * D_UM <= glass.range_nm[1]:
+        return []  # none is written
+    found = index_of(glass, D_UM)
+    if abs(found - stated) < _CONTRADICTS:
+        return []
+    return [f"line {line}: the constants of {words[0]} give n_d {found:.4g}, its entry {stated:g}"]
 
 
 def decode(path: str | Path) -> str:

@@ -10,6 +10,8 @@ from importlib import resources
 
 import numpy as np
 
+from lensshift.core.errors import warn_quality
+
 REFERENCE_TEMPERATURE_C = 20.0  # of most catalogues
 AIR = "air"
 
@@ -21,6 +23,8 @@ BY_CODE = "index and Abbe number"  # all that is known of a glass
 # whose makers state it 0.001 to 0.010, half of them 0.0030 to 0.0052.
 _MOULDED, _USUALLY_LOWER = ("_MOLD", "(M)", "M"), 0.0044
 AS_USUAL = f"moulded: index lower by {_USUALLY_LOWER}, as usual"
+_SAME_INDEX, _OTHER_INDEX = 1e-5, 1e-3  # rounding; more than from melt to melt
+SAID = 3  # glasses that a warning names
 NO_CHANGE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 # Exponents of the wavelength in the polynomials for n^2.
@@ -135,7 +139,7 @@ def _shipped() -> dict[str, Glass]:
             _model(f"model:{index_d!r}:{abbe!r}:0")
             if solid is None
             else replace(
-                solid, lower_by=_index(solid, D_UM) - index_d, source=f"{made_from}, moulded"
+                solid, lower_by=index_of(solid, D_UM) - index_d, source=f"{made_from}, moulded"
             )
         )
     return known
@@ -160,15 +164,21 @@ def _moulded(name: str) -> Glass | None:
 
 
 def add_glasses(glasses: dict[str, Glass]) -> None:
-    """Make more glasses known by their names, in upper case; those that are known stay.
+    """Make glasses known by their names, in upper case.
 
-    They replace those of which only index and Abbe number are known.
+    Those of the package keep their constants where these give the same index.
 
     Raises
     ------
     ValueError
         If a name is one of `add_glasses` before, with other constants.
+
+    Warns
+    -----
+    QualityWarning
+        If a name is that of another glass of the package, which it replaces.
     """
+    replaced = []
     for name, glass in glasses.items():
         known = _added.get(name)
         if known is not None and known != glass:
@@ -176,6 +186,25 @@ def add_glasses(glasses: dict[str, Glass]) -> None:
         shipped = _shipped().get(name)
         if shipped is None or shipped.source.startswith(BY_CODE):
             _added[name] = glass
+        elif (apart := _apart(glass, shipped)) > _SAME_INDEX:
+            _added[name] = glass
+            replaced += [name] if apart > _OTHER_INDEX else []
+    if replaced:
+        more = f" and {len(replaced) - SAID} more" if len(replaced) > SAID else ""
+        warn_quality(
+            f"{', '.join(replaced[:SAID])}{more}: taken as given, which is another glass than that "
+            "of this name in the package"
+        )
+
+
+def _apart(one: Glass, other: Glass) -> float:
+    """Return the largest difference of two indices in light for which both are known."""
+    low_nm = max(one.range_nm[0], other.range_nm[0])
+    high_nm = min(one.range_nm[1], other.range_nm[1])
+    if low_nm > high_nm:
+        return np.inf
+    light_um = 1e-3 * np.linspace(low_nm, high_nm, 9)
+    return max(abs(index_of(one, um) - index_of(other, um)) for um in light_um)
 
 
 def glass_names() -> tuple[str, ...]:
@@ -297,7 +326,7 @@ def refractive_index(
             f"{glass}, got {wavelength_nm} nm"
         )
     um = wavelength_nm * 1e-3
-    index = _index(data, um)
+    index = index_of(data, um)
     if data.thermal == NO_CHANGE:
         return index
     d0, d1, d2, e0, e1, resonance_um = data.thermal
@@ -327,7 +356,7 @@ def air_index(wavelength_nm: float, temperature_c: float) -> float:
     return 1.0 + refractivity / (1.0 + 3.4785e-3 * (temperature_c - 15.0))
 
 
-def _index(data: Glass, um: float) -> float:
+def index_of(data: Glass, um: float) -> float:
     """Return the index at the temperature of the constants."""
     return _of_formula(data, um) - data.lower_by
 

@@ -13,6 +13,7 @@ from lensshift.optics.glass import (
     glass_data,
     holds,
     is_known,
+    is_shipped,
     lines_of,
     model_glass,
     refractive_index,
@@ -32,6 +33,8 @@ def glass_called(name: str) -> str | None:
     """Return the glass that design programs call `name`, or None if it is not known."""
     upper = name.upper()
     own = next((name for name in GLASSES if name.upper() == upper.replace("_", " ")), None)
+    if is_known(upper) and not is_shipped(upper):  # of a catalogue that was loaded
+        return upper
     for known in (_other_names().get(upper), upper, own):
         if known is not None and is_known(known):
             return known
