@@ -354,3 +354,22 @@ def test_constants_that_contradict_their_entry_are_told(
     (tmp_path / "own.agf").write_text("NM ODD3 1 0 1.6 60\nCD 2.25\nLD 0.3 2.5\n")
     with pytest.warns(QualityWarning, match=r"line 1: the constants of ODD3 give n_d 1.5, its ent"):
         load_glass_catalogue(tmp_path / "own.agf")
+
+
+def test_semi_diameters_for_the_axis_alone_do_not_stop_the_field() -> None:
+    """A program makes surfaces as wide as the light of the fields that the file has."""
+    surfaces = (
+        FAR,
+        FRONT.replace("DIAM 12 1", "DIAM 5 0"),
+        BACK.replace("DIAM 12 1", "DIAM 4.7 0"),
+    )
+    axis, wide = "XFLN 0 0\nYFLN 0 0", "XFLN 0 0\nYFLN 0 14"
+    with pytest.warns(QualityWarning, match="hold for the axis only"):
+        lens = parse_zmx(zmx(*surfaces, IMAGE, header=axis))
+    field, points = np.array([0.1, -0.2]), pupil_grid(9)
+    assert trace(lens, field, points).passed.all()
+    assert lens.stop.diameter_mm == pytest.approx(10.0)
+    clipped = parse_zmx(zmx(*surfaces, IMAGE, header=wide))
+    assert not trace(clipped, field, points).passed.all()
+    fixed = (one.replace("DIAM 4.7 0", "DIAM 4.7 1").replace("DIAM 5 0", "") for one in surfaces)
+    assert not trace(parse_zmx(zmx(*fixed, IMAGE, header=axis)), field, points).passed.all()

@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -96,6 +97,18 @@ def test_a_travel_that_is_seen_is_not_enlarged(lens: Lens) -> None:
     rest = layout(lens)
     shift_mm = line_labelled(axes, "element 1 moved")[1] - rest.outlines[0].height_mm
     np.testing.assert_allclose(shift_mm, -2.0)
+
+
+def test_the_moved_outline_of_a_lens_without_edges_is_as_large(lens: Lens) -> None:
+    """Its edges are drawn where rays are: those of the lens at rest."""
+    bare = replace(
+        lens.elements[0],
+        surfaces=tuple(replace(s, semi_diameter_mm=math.inf) for s in lens.elements[0].surfaces),
+    )
+    lens = replace(lens, elements=(bare, *lens.elements[1:]))
+    (axes,) = layout_figure(lens, 0, TRAVEL_MM).axes
+    rest = layout(lens, field_tan=[0.0, CORNER_TAN[1]]).outlines[0].height_mm
+    assert np.ptp(line_labelled(axes, "element 1 moved")[1]) == pytest.approx(np.ptp(rest))
 
 
 def test_mtf_curves_are_the_exact_ones_with_the_limits_of_the_sensor(lens: Lens) -> None:

@@ -35,6 +35,7 @@ class Entry:
     parameters: dict[int, float] = field(default_factory=dict)
     distance_mm: float = 0.0
     semi_diameter_mm: float = 0.0
+    automatic: bool = False  # the program computed the semi-diameter
     glass: str = ""
     is_stop: bool = False
     mirror: bool = False

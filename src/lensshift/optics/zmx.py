@@ -45,6 +45,7 @@ class _File:
     catalogues: tuple[str, ...] = ()
     temperature_c: float = REFERENCE_TEMPERATURE_C
     notes: list[str] = field(default_factory=list)
+    fields: set[float] = field(default_factory=set)
     turned: DataError | None = None  # about a surface that is turned by its properties
 
 
@@ -129,6 +130,8 @@ def _read_line(content: _File, words: list[str], line: int) -> None:
         content.wavelengths_um.update({i: float(v) for i, v in enumerate(values, start=1)})
     elif key == "GCAT":
         content.catalogues = tuple(map(str.upper, values))
+    elif key in ("XFLN", "YFLN"):
+        content.fields.update(map(float, values))
     elif key == "PWAV":
         content.primary = int(values[0])
     elif key == "ENVD":
@@ -187,6 +190,7 @@ def _read_surface_line(
         entry.distance_mm = mm * float(values[0])  # also reads INFINITY
     elif key == "DIAM":
         entry.semi_diameter_mm = mm * _finite(values[0])
+        entry.automatic = values[1:2] == ["0"]
     elif key in ("CLAP", "FLAP") and len(values) > 1 and float(values[1]) > 0:
         entry.clear_mm = mm * _finite(values[1])
         entry.inner_mm = max(entry.inner_mm, mm * _finite(values[0]))
@@ -277,6 +281,7 @@ def _lens(content: _File) -> Lens:
             entry.glass, note = glass_in_light(entry.glass, wavelength_nm)
             content.notes += [f"surface {entry.number}: {note}"] if note else []
     _carry_obstructions(content)
+    _leave_out_automatic(content)
     image = content.entries[-1]
     shaped = image.type not in ("STANDARD", "COORDBRK") and any(image.parameters.values())
     if image.curvature_per_mm or shaped:
@@ -322,6 +327,24 @@ def _carry_obstructions(content: _File) -> None:
             else:
                 content.notes.append(f"surface {entry.number}: its obstruction is left out")
         far = far and not optical
+
+
+def _leave_out_automatic(content: _File) -> None:
+    """Leave out what the program computed as wide enough for light along the axis alone."""
+    told = (content.aperture or ("FLOA", 0.0))[0] == "FLOA"  # the stop is as wide as its surface
+    found = [
+        entry
+        for entry in content.entries[1:-1]
+        if entry.automatic and not (entry.is_stop and told) and not entry.inner_mm
+        if entry.type != "COORDBRK"
+    ]
+    if content.fields == {0.0} and found:
+        content.notes.append(
+            "semi-diameters that hold for the axis only, as the file has no other field, are left "
+            "out"
+        )
+        for entry in found:
+            entry.semi_diameter_mm = 0.0
 
 
 def _frames(entries: list[Entry]) -> list[Frame]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,8 +57,8 @@ def layout_figure(
     times, travel = 1.0, abs(travel_mm[1])
     if 0.0 < travel < _VISIBLE * height_mm:
         times = style.round_number(3.0 * _VISIBLE * height_mm / travel)
-    moved = layout(lens, element, (times * travel_mm[0], times * travel_mm[1]), rays=1)
-    dashed = moved.outlines[element]
+    outline = rest.outlines[element]
+    dashed = replace(outline, height_mm=outline.height_mm + times * travel_mm[1])
     ending = "" if times == 1.0 else f", drawn {times:g} times as far"
     figure, mm_per_pt = _section_figure(rest, dashed)
     axes = figure.subplots()
