@@ -18,7 +18,7 @@ from lensshift.optics.glass_called import glass_called, successor
 from lensshift.optics.lens import Lens
 from lensshift.optics.lens_file import format_lens, load_lens, parse_lens
 from lensshift.optics.movers import which_mover
-from lensshift.optics.paraxial import paraxial
+from lensshift.optics.paraxial import matrices_around_stop, paraxial
 from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.trace import trace
 from lensshift.optics.zmx import load_zmx, parse_zmx
@@ -373,3 +373,18 @@ def test_semi_diameters_for_the_axis_alone_do_not_stop_the_field() -> None:
     assert not trace(clipped, field, points).passed.all()
     fixed = (one.replace("DIAM 4.7 0", "DIAM 4.7 1").replace("DIAM 5 0", "") for one in surfaces)
     assert not trace(parse_zmx(zmx(*fixed, IMAGE, header=axis)), field, points).passed.all()
+
+
+@pytest.mark.parametrize("apart_mm", [40.0, 70.0])
+def test_a_numerical_aperture_in_front_of_and_behind_the_telecentric_stop(apart_mm: float) -> None:
+    """Behind the focal plane of the first lens the entrance pupil lies in front of the object."""
+    near, lens_mm = "TYPE STANDARD; DISZ 60", "TYPE STANDARD; CURV 0.016; DISZ 4; GLAS N-BK7"
+    back = "TYPE STANDARD; CURV -0.016; DISZ {}"
+    text = zmx(
+        near, lens_mm, back.format(apart_mm), "STOP; TYPE STANDARD; DISZ 20", lens_mm,
+        back.format(60), IMAGE, aperture="OBNA 0.05 0",
+    )  # fmt: skip
+    lens = parse_zmx(text)
+    slope = math.tan(math.asin(0.05))
+    at_stop_mm = matrices_around_stop(lens)[0] @ [60.0 * slope, slope]
+    assert lens.stop.diameter_mm == pytest.approx(2.0 * abs(at_stop_mm[0]), rel=1e-9)

@@ -211,7 +211,9 @@ def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: 
             unit = paraxial(replace(lens, stop=replace(lens.stop, diameter_mm=_UNSET_STOP_MM)))
             pupil_mm = unit.entrance_pupil_diameter_mm * unit.working_f_number / value
         elif kind == "OBNA":
-            pupil_mm = 2.0 * math.tan(math.asin(min(value, 1.0))) * (lens.object_mm + position_mm)
+            pupil_mm = (
+                2.0 * math.tan(math.asin(min(value, 1.0))) * abs(lens.object_mm + position_mm)
+            )
         diameter_mm = pupil_mm / abs(scale)
         if diameter_mm > widest_mm * (1.0 + 2.0 * _ROUNDING):
             notes.append(
