@@ -286,3 +286,12 @@ def test_quiet_camera_is_quiet() -> None:
     camera = make_camera(SENSOR, optics=LensOptics(petzval()), readout=quiet())
     first, again = (still(wall(), camera, seed=seed).burst.amplitude for seed in (1, 2))
     np.testing.assert_array_equal(first, again)
+
+
+def test_a_lens_far_out_of_focus_is_refused_before_the_work() -> None:
+    """A spot 20 pixels wide took more than ten minutes, and shows nothing."""
+    lens = petzval()
+    far = lens.with_sensor(lens.gaps_mm[-1] + 15.0)
+    camera = make_camera(SENSOR, optics=LensOptics(far))
+    with pytest.raises(ValueError, match=r"lens in focus, got a spot of .* px rms"):
+        simulate_tof(wall(), camera, PLANNED, **EXACT)

@@ -88,11 +88,19 @@ def motions(camera: TofCamera, offset_px: Array, side_px: float, *, scale: int =
     for each frame the offset in px [row col 2] of the pixels, or [1 1 2], at the centre of the
     sensor as asked for; and the blur: sigma in LR pixels of a Gaussian that is the same all over
     the sensor, or spots
+
+    Raises
+    ------
+    ValueError
+        If the lens is far out of focus, whose spots would take hours.
     """
     if isinstance(camera.optics, PlainOptics):
         sigma_px = camera.optics.blur_sigma_px
         return [(offset[None, None, :], sigma_px) for offset in offset_px]
+    from lensshift.optics.field import check_focus
+
     optics, grid = camera.optics, camera.grid
+    check_focus(optics.lens, grid)
     half = int(np.ceil(0.5 * _POINTS_PER_SIDE / (side_px * scale)))
     # Odd, so that cells, of which there are 16, do not beat with it.
     per_px = 2 * scale * (half | 1)

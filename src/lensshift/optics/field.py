@@ -85,7 +85,7 @@ def lens_field(
         If the fit of the shifts is no better than 0.001 px, as where the lens cuts off light, or
         that of the widths of the spot no better than 0.03 px.
     """
-    _check_focus(lens, grid)
+    check_focus(lens, grid)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*of its light", QualityWarning)  # once, in our words
         if reach_px is None:
@@ -120,7 +120,7 @@ def lens_field(
     )
 
 
-def _check_focus(lens: Lens, grid: Grid) -> None:
+def check_focus(lens: Lens, grid: Grid) -> None:
     """Refuse before the work a lens without power, or whose spot leaves no contrast to describe."""
     away_mm = paraxial(lens).image_mm - lens.gaps_mm[-1]
     width_px = float(spots(lens, np.zeros(2)).rms_radius_mm) / (2**0.5 * max(grid.pitch_mm))
