@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.lens import Element, Lens, Stop, Surface, cover_glass
 from lensshift.optics.lens_file import format_lens, lens_names, load_lens, parse_lens, save_lens
 
@@ -175,3 +175,11 @@ def test_missing_and_unreadable_files(tmp_path: Path) -> None:
         load_lens(tmp_path / "binary.toml")
     with pytest.raises(DataError, match="cannot write"):
         save_lens(load_lens("petzval_a"), tmp_path / "missing" / "lens.toml")
+
+
+def test_a_stop_in_glass_is_questioned() -> None:
+    lens = load_lens("petzval_a")
+    thick_mm = lens.elements[0].length_mm
+    inside = replace(lens, stop=replace(lens.stop, position_mm=0.5 * thick_mm, diameter_mm=2.0))
+    with pytest.warns(QualityWarning, match=f"stop at {0.5 * thick_mm:g} mm lies in element 1"):
+        parse_lens(format_lens(inside))

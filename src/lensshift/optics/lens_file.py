@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from lensshift.core.atomic import write_text
-from lensshift.core.errors import DataError, about
+from lensshift.core.errors import DataError, about, warn_quality
 from lensshift.core.settings import (
     check_keys,
     fit,
@@ -20,6 +20,7 @@ from lensshift.core.settings import (
 )
 from lensshift.optics.glass import Glass, add_glasses, glass_data, is_shipped
 from lensshift.optics.lens import Element, Lens, Stop, Surface
+from lensshift.optics.sequential import element_about_stop
 from lensshift.optics.zmx import load_zmx
 
 # Lens files of other programs, which all of them can write as .zmx.
@@ -53,7 +54,7 @@ def load_lens(path_or_name: str | Path) -> Lens:
     Warns
     -----
     QualityWarning
-        As `load_zmx`.
+        As `load_zmx`; if the stop lies in glass.
     """
     if Path(path_or_name).suffix.lower() == ".zmx":
         return load_zmx(path_or_name)
@@ -76,7 +77,11 @@ def parse_lens(text: str, source: str | Path = "") -> Lens:
     """Return the lens that a text in TOML describes; see `load_lens`."""
     content = parse_toml(text, source)
     with settings_of(source):
-        return _lens(content, text)
+        lens = _lens(content, text)
+    if (name := element_about_stop(lens)) is not None:
+        at_mm = lens.stop.position_mm
+        warn_quality(f"{source or 'lens'}: the stop at {at_mm:g} mm lies in {name}: is that right?")
+    return lens
 
 
 def save_lens(lens: Lens, path: str | Path) -> None:

@@ -222,19 +222,22 @@ def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: 
         diameter_mm = min(diameter_mm, widest_mm)
     with about(stop.where()):
         lens = replace(lens, stop=replace(lens.stop, diameter_mm=diameter_mm))
-    _say_in_glass(lens, notes)
+    if (name := element_about_stop(lens)) is not None:
+        notes.append(f"the stop lies in {name}: taken in the air beside it")
     return lens
 
 
-def _say_in_glass(lens: Lens, notes: list[str]) -> None:
-    """Note a stop whose rim lies in glass, not beside a curved surface."""
+def element_about_stop(lens: Lens) -> str | None:
+    """Return the name of the element in which the rim of the stop lies, not beside its surfaces."""
     at_mm, radius_mm = lens.stop.position_mm, np.array(0.5 * lens.stop.diameter_mm)
-    for element, start_mm in zip(lens.elements, lens.positions_mm(), strict=False):
+    for number, start_mm in enumerate(lens.positions_mm()[:-1]):
+        element = lens.elements[number]
         end_mm = start_mm + element.length_mm
         first, last = (element.surfaces[place].sag_mm(radius_mm) for place in (0, -1))
         front_mm, back_mm = max(start_mm, start_mm + first), min(end_mm, end_mm + last)
         if front_mm + _CLOSE < at_mm < back_mm - _CLOSE:
-            notes.append(f"the stop lies in {element.name}: taken in the air beside it")
+            return lens.called(number)
+    return None
 
 
 def _groups(entries: list[Entry]) -> Iterable[list[int]]:
