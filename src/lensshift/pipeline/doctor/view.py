@@ -128,14 +128,21 @@ def settings_share(raw: list[Mapping[str, Array]], amplitude: Floats, always: Ma
 
 
 def _chance(first: Floats, second: Floats, pixels: int) -> float:
-    """Return by how much the means of two small groups differ by chance, one of so many (Welch)."""
-    variance = np.array([one.var(ddof=1) / len(one) for one in (first, second)])
-    freedom = np.array([len(first) - 1, len(second) - 1])
-    if not variance.any():
+    """Return by how much the means of two small groups differ by chance, one of so many.
+
+    Each with its own noise (Welch), or all alike (Student), whichever is more: three values may lie
+    close together by chance.
+    """
+    count = np.array([len(first), len(second)])
+    square = np.array([one.var(ddof=1) for one in (first, second)])
+    if not square.any():
         return 0.0
-    together = variance.sum() ** 2 / np.sum(variance**2 / freedom)
-    likely = stdtrit(together, 1.0 - 0.5 * _CHANCE / pixels)
-    return float(likely * np.sqrt(variance.sum()))
+    freedom = count - 1
+    own = square / count
+    alike = (freedom @ square) / freedom.sum() / count
+    cases = ((own.sum(), own.sum() ** 2 / np.sum(own**2 / freedom)), (alike.sum(), freedom.sum()))
+    odds = 1.0 - 0.5 * _CHANCE / pixels
+    return float(max(stdtrit(free, odds) * np.sqrt(variance) for variance, free in cases))
 
 
 def view_findings(
