@@ -8,12 +8,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import scipy.stats
+from hypothesis import assume, given
+from hypothesis import strategies as st
 from pixel_camera import SQUARE_PX, Array, edge_scene, make_burst, photograph
 
 from lensshift.camera import camera_preset, named_pattern_px, simulate_tof
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import ShiftField
 from lensshift.reconstruction import glance, shift_check
+from lensshift.reconstruction.quick_shifts import without_lone_waves
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.reconstruction.shift_check import CURES, Doubt, _readings, _Trial
 from lensshift.scene import slanted_edge_card
@@ -320,3 +323,47 @@ def test_an_edge_seen_at_thirds_of_a_pixel_is_where_it_is_said_to_be(seed: int) 
     assert doubtful_shifts(burst.amplitude, burst.offset_px, valid=burst.valid) is None
     for wrong in (-1, 2):
         assert doubtful_shifts(burst.amplitude, wrong * burst.offset_px, valid=burst.valid)
+
+
+@pytest.mark.parametrize("wave", [(0.79, -0.03), (0.26, -0.9), (0.11, 0.77)])
+@pytest.mark.parametrize("square", [False, True])
+def test_a_lone_grating_beyond_the_nyquist_frequency_doubts_nothing(
+    wave: tuple[float, float], square: bool
+) -> None:
+    """It is its alias as well, which moves another way. A box beside it tells wrong shifts."""
+
+    def grating(row: Array, col: Array) -> Array:
+        found = 0.5 + 0.3 * np.sin(2 * np.pi * (wave[0] * row + wave[1] * col))
+        if square:
+            found = np.where(found > 0.5, 0.8, 0.2)
+        return found
+
+    def beside(row: Array, col: Array) -> Array:
+        return np.where(np.abs(col - 15) < 7, 3 * _boxes(row, col), grating(row, col))
+
+    rng = np.random.default_rng(3)
+    noise = 0.004 * rng.standard_normal((4, *SHAPE))
+    assert doubtful_shifts(photograph(grating, SHAPE, SQUARE_PX) + noise, SQUARE_PX) is None
+    doubt = doubtful_shifts(photograph(beside, SHAPE, SQUARE_PX) + noise, -SQUARE_PX)
+    assert doubt is not None
+    assert doubt.named
+
+
+@given(
+    st.integers(9, 40), st.integers(9, 40), st.floats(-0.5, 0.5), st.floats(0.0, 0.5),
+    st.integers(0, 9),
+)  # fmt: skip
+def test_a_lone_wave_is_taken_off_whole(
+    rows: int, cols: int, down: float, right: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    assume(np.hypot(down * rows, right * cols) > 2.5)
+    assume(abs(down) < 0.45 and 0.05 < right < 0.45)
+    row, col = np.indices((rows, cols))
+    phase = rng.uniform(0, 6, 3)[:, None, None]
+    y = np.cos(2 * np.pi * (down * row + right * col) + phase)
+    seen = rng.random(y.shape) < 0.95
+    left = without_lone_waves(y, seen)
+    assert left is not None
+    assert np.abs(left[seen]).max() < 0.05
+    assert without_lone_waves(rng.standard_normal(y.shape), seen) is None

@@ -21,6 +21,9 @@ OUTLIER_SQUARE, MOST_SQUARE = 9.0, 25.0
 # Something is somewhere else if it is off by twice as much, and a frame if it contradicts in so
 # much of what would show it.
 LEAST_OFF_PX, LEAST_SHARE, TELLING_SHARE = 0.2, 0.5, 0.25
+# Of the noise of an LR pixel, a pixel: noise alone draws slopes of 0.06 (four frames of an even
+# scene), which go with residuals as if a frame lay off by 0.006 / slope^2 px.
+LEAST_SLOPE = 0.5
 # Standard errors that a shift has to differ by (`shift_check.LEAST_T` is as sure).
 SURE = 5.0
 # So many pixels tell a mean of all to 1 %.
@@ -143,11 +146,13 @@ def elsewhere(
 
     The residuals of a frame that lies elsewhere go with its slopes; where these are large it has to
     contradict. Outliers count as far as they are like the others. Directions in which a shift is
-    not told, as along a single edge, are left out. So are slopes below the noise, which may be
-    noise: that is in the residuals of its frame as well, and goes with them.
+    not told, as along a single edge, are left out. So are slopes that may be noise: that is in the
+    residuals of its frame as well, and goes with them.
     """
     energy = np.sum(np.abs(slopes) ** 2, axis=0)
-    on = some_pixels(used & (around(energy, np.ones_like(energy), 3, 0.0) > variance))
+    on = some_pixels(
+        used & (around(energy, np.ones_like(energy), 3, 0.0) > LEAST_SLOPE**2 * variance)
+    )
     enough = on.sum(axis=-1) >= WINDOW_PX**2
     known = some_pixels(slopes.swapaxes(0, 1))
     found, covariance = reweighted(known, some_pixels(variance), some_pixels(r), on)

@@ -9,6 +9,8 @@ from lensshift.core.arrays import Array, Mask, Shifts
 # A low pass against the aliases of the pixels, and Gauss-Newton, find the shifts of the frames.
 LOW_PASS_PX, FINDING_ROUNDS, FOUND_PX, BORDER_PX = 0.8, 10, 0.01, 3
 INNER = np.s_[..., BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
+# Waves that each hold half of what there is, as of a square grating: first, third, fifth harmonic.
+MOST_WAVES, LONE_SHARE, LEAST_CYCLES, FINER = 3, 0.5, 2.0, 4
 # Directions whose gradients have a smaller part than this of the power of the others tell nothing.
 LEAST_TOLD = 0.03
 # Frames whose borders seem to move by less against their middle are not asked how they turn.
@@ -29,6 +31,48 @@ def low_passed(values: Array, seen: Mask) -> Array | None:
     if np.mean(smooth**2) * 4 * np.pi * LOW_PASS_PX**2 < 0.8 * np.mean(values**2):
         return None
     return np.stack([spline_filter(frame) for frame in smooth])
+
+
+def without_lone_waves(values: Array, seen: Mask) -> Array | None:
+    """Return frames [frame row col] without a wave that holds most of them, None if there is none.
+
+    A lone wave beyond the Nyquist frequency of the frames is the same as its alias, which moves
+    another way: it cannot say which of two readings of the shifts is wrong.
+    """
+    left, found = np.where(seen, values, 0.0), False
+    for _ in range(MOST_WAVES):
+        rest = _without_wave(left, seen)
+        if rest is None or np.sum(rest**2) > (1.0 - LONE_SHARE) * np.sum(left**2):
+            break
+        left, found = rest, True
+    return left if found else None
+
+
+def _without_wave(values: Array, seen: Mask) -> Array | None:
+    """Return frames without their largest wave, None if the frames are no two periods of it."""
+    shape = values.shape[1:]
+    power = np.sum(np.abs(np.fft.rfft2(values, [FINER * n for n in shape])) ** 2, axis=0)
+    at = np.unravel_index(int(np.argmax(power)), power.shape)
+    cycles = np.array(at) / FINER  # over a frame
+    cycles[0] -= shape[0] if cycles[0] > shape[0] / 2 else 0.0
+    if np.hypot(*cycles) < LEAST_CYCLES:
+        return None
+    place = np.stack([axis / n - 0.5 for axis, n in zip(np.indices(shape), shape, strict=True)])
+    terms = np.stack([np.ones(shape), *place])
+    for last in (False, False, True):
+        wave = np.exp(2j * np.pi * np.tensordot(cycles, place, 1))
+        used = wave * (terms[:1] if last else terms)
+        basis = np.concatenate([used.real, used.imag])
+        size = np.stack([
+            np.linalg.lstsq((basis * on).reshape(len(basis), -1).T, frame.ravel(), rcond=None)[0]
+            for frame, on in zip(values, seen, strict=True)
+        ])  # fmt: skip
+        if not last:  # ramps tell what the frequency is off by
+            real, imag = size.reshape(len(values), 2, -1).swapaxes(0, 1)
+            z = real - 1j * imag
+            off = np.conj(z[:, :1]) * z[:, 1:]
+            cycles += np.imag(off.sum(axis=0)) / np.sum(np.abs(z[:, 0]) ** 2) / (2 * np.pi)
+    return np.asarray(values - np.tensordot(size, basis, 1) * seen)
 
 
 def found_shifts(smooth: Array, given_px: Shifts) -> Shifts:

@@ -21,7 +21,12 @@ from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.model import forward_model
 from lensshift.reconstruction.glance import FAR_PX, Glance
-from lensshift.reconstruction.quick_shifts import found_shifts, found_turns, low_passed
+from lensshift.reconstruction.quick_shifts import (
+    found_shifts,
+    found_turns,
+    low_passed,
+    without_lone_waves,
+)
 
 # Of fewer held-out pixels nothing follows.
 LEAST_HELD_OUT = 50
@@ -119,7 +124,7 @@ def doubtful_shifts(look: Glance, scale: int) -> Doubt | None:
     predicts the remaining pixels best is named if the given one errs more by 5 % (20 % where no
     simple mistake explains it), and by five standard errors of the difference. What white noise
     alone does to a reading does not count.
-    A lone grating beyond the Nyquist frequency of a frame passes for its alias.
+    A wave that holds most of what there is passes for its alias; what is left without it decides.
 
     Parameters
     ----------
@@ -134,12 +139,19 @@ def doubtful_shifts(look: Glance, scale: int) -> Doubt | None:
         return None
     # Other brightness of a frame looks like a shift of an edge; without it, slow slopes show none.
     alike = _alike(look.values, seen)
-    again = low_passed(alike, seen)
-    if again is None:
-        return None
-    trial = _Trial(alike, seen, given, look.about_px)
-    found = found_shifts(again, given)
-    return _doubt(trial, again, found, scale) or (None if upright else _turn(trial, again))
+    told: Doubt | None = None
+    for values in (alike, without_lone_waves(alike, seen)):
+        if values is None:
+            break
+        again = low_passed(values, seen)
+        if again is None:
+            return None
+        trial = _Trial(values, seen, given, look.about_px)
+        found = found_shifts(again, given)
+        told = _doubt(trial, again, found, scale) or (None if upright else _turn(trial, again))
+        if told is None:
+            break
+    return told
 
 
 def surely_better(look: Glance, offset_px: Shifts) -> bool:
