@@ -354,9 +354,9 @@ def test_phasors_of_a_scene_are_interlaced_like_their_components(reference_dir: 
 @pytest.mark.parametrize(
     ("method", "settings", "message"),
     [
-        ("bicubic", {"blind": 0}, "every pixel of frame 0 has weight 0"),
-        ("nearest", {"blind": 0}, "nothing is left to use"),
-        ("deconvolution", {"blind": 0}, "nothing is left to use"),
+        ("bicubic", {"blind": 0, "frame": 0}, "frame 0 has no valid pixel"),
+        ("nearest", {"blind": 0, "frame": 0}, "frame 0 has no valid pixel"),
+        ("deconvolution", {"blind": 0, "frame": 0}, "frame 0 has no valid pixel"),
         ("bicubic", {"frame": 7}, "frame from 0 to 4"),
         ("bicubic", {"combine": "sum"}, "combine"),
         ("shift-and-add", {"combine": "sum"}, "combine"),

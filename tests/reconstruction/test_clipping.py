@@ -18,6 +18,7 @@ from lensshift.reconstruction.clipping import (
     clipped_pixels,
     overexposed,
     silent_pixels,
+    without_blank,
     without_stuck,
 )
 from lensshift.reconstruction.learned.noise import rounded_std
@@ -168,3 +169,25 @@ def test_points_of_light_are_looked_for_only_where_the_frames_lie_apart() -> Non
     assert without_stuck(still) is still
     with pytest.warns(QualityWarning, match=r"left out as defective: 1, at .*\(12, 17\)"):
         without_stuck(replace(still, offset_px=NINE_PX))
+
+
+@pytest.mark.parametrize("method", ["auto", "tikhonov", "nearest", "bicubic"])
+def test_a_blank_frame_is_named_and_left_out(method: str) -> None:
+    y = seen(4)
+    y[0] = 0.0
+    burst = Burst.from_arrays(y, offset_px=NINE_PX, pitch_mm=0.1)
+    with pytest.warns(
+        QualityWarning, match="frame 0: all valid pixels are alike.* left out"
+    ) as all_:
+        found = reconstruct(burst, method=method)
+    assert len(all_) == 1
+    valid = np.ones(y.shape, bool)
+    valid[0] = False
+    others = reconstruct(replace(burst, valid=valid), method=method)
+    np.testing.assert_array_equal(found["amplitude"].image, others["amplitude"].image)
+    reconstruct(burst, method=method, frames=range(1, 9))  # of which it is none
+
+
+def test_frames_that_are_all_blank_are_what_they_are() -> None:
+    flat = Burst.from_arrays(np.full((4, *SHAPE), 7.0), offset_px=square(2), pitch_mm=0.1)
+    assert without_blank(flat, range(4)) is flat

@@ -53,6 +53,21 @@ def stuck_pixels(frames: Array, valid: Mask | None = None) -> Mask | None:
     return stuck if stuck.any() else None
 
 
+def blank_frames(frames: Array, valid: Mask | None = None) -> Mask:
+    """Return which frames [frame] show nothing, as of a shutter that stayed closed.
+
+        max y = min y over the valid pixels; False where there is none
+
+    Parameters
+    ----------
+    frames : [frame row col], real or complex
+    valid : [frame row col], None: all pixels are
+    """
+    used = np.ones(frames.shape, np.bool_) if valid is None else valid
+    shown = [one[seen] for one, seen in zip(frames, used, strict=True)]
+    return np.array([bool(one.size) and bool(np.all(one == one[0])) for one in shown])
+
+
 def doubts_about_frames(
     frames: Array, valid: Mask | None = None, *, photometric: bool
 ) -> list[str]:

@@ -1,15 +1,16 @@
-"""Pixels that cannot say what is before them: at an end of the range of the camera, or stuck."""
+"""Pixels that cannot say what is before them: at an end of the camera's range, stuck, or blank."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from lensshift.core.arrays import Array, Mask
-from lensshift.core.defects import stuck_pixels
+from lensshift.core.defects import blank_frames, stuck_pixels
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.forward.operator import LinearOperator
@@ -110,6 +111,28 @@ def overexposed(values: Array, clipped: Mask | None) -> str | None:
         f"{100 * share:.0f} % of the pixels are at {end:g}, the end of their range: what is "
         "brighter is lost there, also in the picture (expose for a shorter time)"
     )
+
+
+def without_blank(burst: Burst, used: Sequence[int], *, stacklevel: int = 2) -> Burst:
+    """Return the burst without those used frames that show nothing, where others show something.
+
+    Warns
+    -----
+    QualityWarning
+        Of these.
+    """
+    blank = blank_frames(burst.amplitude, burst.valid)
+    blank &= np.isin(np.arange(burst.frame_count), used)
+    if blank.sum() in (0, len(used)):
+        return burst
+    warnings.warn(
+        f"frame {', '.join(map(str, np.flatnonzero(blank)))}: all valid pixels are alike, as where "
+        "a shutter stayed closed; left out",
+        QualityWarning,
+        stacklevel=stacklevel + 1,
+    )
+    valid = np.ones(burst.amplitude.shape, np.bool_) if burst.valid is None else burst.valid
+    return replace(burst, valid=valid & ~blank[:, None, None])
 
 
 def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:

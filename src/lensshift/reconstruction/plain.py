@@ -37,10 +37,13 @@ class _Plain(Method):
 
 
 def _frame_of(problem: Problem, frame: int | None) -> int:
-    number = frame or 0
-    if number >= len(problem.y):
-        raise ValueError(f"frame: expected a frame from 0 to {len(problem.y) - 1}, got {number}")
-    return number
+    if frame is None:
+        return int(np.argmax(problem.weight.any(axis=(1, 2))))
+    if frame >= len(problem.y):
+        raise ValueError(f"frame: expected a frame from 0 to {len(problem.y) - 1}, got {frame}")
+    if not problem.weight[frame].any():
+        raise ValueError(f"frame: frame {frame} has no valid pixel; choose another")
+    return frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +52,10 @@ class Nearest(_Plain):
 
     Parameters
     ----------
-    frame : which one
+    frame : which one; None: the first that has valid pixels
     """
 
-    frame: int = option(0, whole(0))
+    frame: int | None = option(None, whole(0))
     name: ClassVar[str] = "nearest"
     summary: ClassVar[str] = "one frame, each HR pixel from the nearest LR pixel"
 
@@ -70,7 +73,7 @@ class Bicubic(_Plain):
     Parameters
     ----------
     combine : "first", one frame; "mean" or "median" of all of them
-    frame : which one; None: the first
+    frame : which one; None: the first that has valid pixels
 
     Source: Keys 1981, doi 10.1109/TASSP.1981.1163711.
     """
@@ -100,11 +103,11 @@ class Deconvolution(_Plain):
 
     Parameters
     ----------
-    frame : which one
+    frame : which one; None: the first that has valid pixels
     algorithm : of scikit-image: "wiener", "unsupervised" (Wiener and Hunt) or "richardson-lucy"
     """
 
-    frame: int = option(0, whole(0))
+    frame: int | None = option(None, whole(0))
     algorithm: Literal["wiener", "unsupervised", "richardson-lucy"] = option(
         "wiener", one_of("wiener", "unsupervised", "richardson-lucy")
     )

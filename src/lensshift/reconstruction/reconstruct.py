@@ -15,7 +15,7 @@ from lensshift.core.defects import doubts_about_frames
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
-from lensshift.reconstruction.clipping import overexposed, without_stuck
+from lensshift.reconstruction.clipping import overexposed, without_blank, without_stuck
 from lensshift.reconstruction.devices import Device, on_device
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
@@ -142,7 +142,7 @@ def reconstruct(
         frames=used, shifts_doubted=response["psf_sigma_px"] > QUESTIONED_BLUR_PX,
         streamed=bool(streamed), device=on_device(device, name),
     )  # fmt: skip
-    part = burst if frames is None else burst.select(used)
+    burst, part = _parts(burst, used, request)
     _question(part, request)
     field = None if field is None else field.select(used)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
@@ -308,6 +308,12 @@ def _frame_numbers(
         raise ValueError(f"expected each frame once, got {list(numbers)}")
     _warn_of_blind_frames(burst, numbers)
     return numbers
+
+
+def _parts(burst: Burst, used: tuple[int, ...], request: Request) -> tuple[Burst, Burst]:
+    """Return the burst without blank frames, which a stream does not look for, and what is used."""
+    burst = burst if request.streamed else without_blank(burst, used, stacklevel=3)
+    return burst, burst if used == tuple(range(burst.frame_count)) else burst.select(used)
 
 
 def _field_of(

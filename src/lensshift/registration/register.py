@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
-from lensshift.core.defects import doubts_about_frames, stuck_pixels
+from lensshift.core.defects import blank_frames, doubts_about_frames, stuck_pixels
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
 from lensshift.registration.affine import affine_motion, turning
@@ -151,8 +151,7 @@ def _seen(burst: Burst, frames: Array) -> NDArray[np.intp]:
     """Return the numbers of the frames whose valid pixels tell a shift; warn of others."""
     count = burst.valid.sum(axis=(1, 2))
     few = count < max(1.0, LEAST_VALID * count.max())
-    blank = np.array([np.ptp(f.real[v]) == np.ptp(f.imag[v]) == 0 if v.any() else False
-                      for f, v in zip(frames, burst.valid, strict=True)])  # fmt: skip
+    blank = blank_frames(frames, burst.valid)
     kept = np.flatnonzero(~few & ~blank)
     if len(kept) < 2:
         said = f"expected valid pixels that differ in at least 2 frames, got {len(kept)}"

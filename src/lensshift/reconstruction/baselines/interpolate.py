@@ -41,8 +41,6 @@ def bicubic(
     Source: Keys, Cubic convolution interpolation, IEEE Trans. ASSP 29 (1981).
     """
     if combine == "first":
-        if not weight[frame].any():
-            raise ValueError(f"every pixel of frame {frame} has weight 0; choose another frame")
         return resampled(frames[frame], weight[frame], offset_px[frame], scale, cubic_taps)
     usable = np.flatnonzero(weight.any(axis=(1, 2)))
     parts = [resampled(frames[k], weight[k], offset_px[k], scale, cubic_taps) for k in usable]
