@@ -182,6 +182,7 @@ def test_arrays_of_all_core_types_are_read_only() -> None:
         (100e6, 140.0, "distance_m: expected metres"),
         (15e6, -1.2, "distance_m: expected distances from the camera, got a median of -1.2 m"),
         (150.0, 3.7, "modulation_hz: expected a frequency in Hz, got 150"),
+        (15e3, 3.7, "modulation_hz: expected a frequency in Hz, got 15000"),
         (15.0, 3.7, "modulation_hz: expected a frequency in Hz, got 15; 15 MHz are 15e6"),
         (15.0, None, "modulation_hz: expected a frequency in Hz"),
     ],
@@ -213,11 +214,42 @@ def test_pixels_that_measured_nothing_are_questioned_unless_marked() -> None:
     light, far_m = np.ones((1, *SHAPE)), np.full((1, *SHAPE), 3.0)
     light[0, 2, 3] = far_m[0, 2, 3] = far_m[0, 1, 1] = light[0, 3, 3] = 0.0
     told = {"offset_px": [[0, 0]], "pitch_mm": 0.1, "modulation_hz": 15e6}
-    with pytest.warns(QualityWarning, match="distance_m: 1 of 35 pixels are 0 and have no light"):
+    with pytest.warns(QualityWarning, match="distance_m: 2 of 35 pixels are 0, as where nothing"):
         Burst.from_arrays(light, far_m, **told)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Burst.from_arrays(light, far_m, valid=(light > 0) | (far_m > 0), **told)
+
+
+@pytest.mark.parametrize(
+    ("mark_m", "questioned"),
+    [(0.0, True), (-1.0, True), (65.535, True), (9.5, False), (np.nan, False)],
+)
+def test_numbers_that_stand_for_no_distance_are_questioned(mark_m: float, questioned: bool) -> None:
+    rng = np.random.default_rng(5)
+    light, far_m = rng.uniform(1, 2, (2, *SHAPE)), rng.uniform(2, 3, (2, *SHAPE))
+    far_m[:, 2, 3:5] = mark_m
+    valid, told = np.isfinite(far_m), {"pitch_mm": 0.1, "modulation_hz": 15e6}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        Burst.from_arrays(light, far_m, offset_px=np.zeros((2, 2)), valid=valid, **told)
+    said = f"distance_m: 4 of 70 pixels are {mark_m:g}, as where"
+    assert [said in str(one.message) for one in caught] == [True] * questioned
+
+
+def test_distances_about_zero_of_a_camera_that_rounds_are_none_of_these() -> None:
+    rng = np.random.default_rng(6)
+    far_m = np.round(np.mod(rng.normal(0.0, 0.3, (40, *SHAPE)), 9.99), 2)
+    assert np.count_nonzero(far_m == 0.0) > 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Burst.from_arrays(1 + far_m, far_m, offset_px=np.zeros((40, 2)), modulation_hz=15e6)
+
+
+def test_whole_metres_are_questioned() -> None:
+    far_m = np.arange(70).reshape(2, *SHAPE) % 5 + 1
+    with pytest.warns(QualityWarning, match="distance_m: whole metres only"):
+        Burst.from_arrays(1.0 + far_m, far_m, offset_px=np.zeros((2, 2)), modulation_hz=15e6)
 
 
 @pytest.mark.parametrize("pitch_mm", [155.0, (0.155, 155.0)])

@@ -86,6 +86,7 @@ def bursts(draw: st.DrawFn) -> Burst:
     )
 
 
+@pytest.mark.filterwarnings("ignore::lensshift.QualityWarning")  # whole metres, low frequencies
 @given(burst=bursts())
 @settings(
     max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]

@@ -54,7 +54,7 @@ def test_dark_pixels_turn_as_their_surroundings_and_bright_ones_keep_their_turns
 def test_a_small_bright_object_a_turn_nearer_is_kept() -> None:
     burst, _, _ = slipping_burst(0.0)
     distance_m, amplitude = np.array(burst.distance_m), np.array(burst.amplitude)
-    distance_m[:, 4, 5], amplitude[:, 4, 5] = 9.0, 0.7
+    distance_m[:, 4, 5], amplitude[:, 4, 5] = (9.0, 9.01, 9.02, 8.99), 0.7
     frames = polar_frames(
         Burst.from_arrays(
             amplitude,

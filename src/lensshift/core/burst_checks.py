@@ -9,9 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError
-from lensshift.core.units import doubt_about_distance, doubt_about_units
+from lensshift.core.units import doubt_about_distance, doubt_about_units, unambiguous_range_m
 
 LEAST_SIZE = 1e-100  # of frames: squares of smaller values, and of its inverse, are no doubles
+# Of the usual distance; numbers that stand for none lie farther from all that were measured.
+APART = 0.1
 # What SciPy filters in place of half and extended precision, which are formats of files.
 _COMMON: dict[np.dtype[Any], type[np.generic]] = {
     np.dtype(np.float16): np.float32,
@@ -86,20 +88,39 @@ def doubts_about_distances(
 ) -> list[str]:
     """Say what can hardly be meant by frequencies and distances; some of it may be ""."""
     typical_m = None if distance_m is None else float(np.median(distance_m[valid]))
-    doubts = [
+    of_units = (
         doubt_about_units(min(frequencies_hz), typical_m)
         if frequencies_hz
         else doubt_about_distance(typical_m)
-    ]
+    )
     if distance_m is None:
-        return doubts
-    empty = np.count_nonzero(valid & (amplitude == 0) & (distance_m == 0))
-    if empty and np.any(distance_m[valid]):  # beside others that were measured
-        doubts.append(
-            f"distance_m: {empty} of {distance_m.size} pixels are 0 and have no light, as where "
-            "nothing was measured; mark them False in `valid`"
-        )
-    return doubts
+        return [of_units]
+    if distance_m.dtype.kind in "ui" and not of_units:
+        of_units = "distance_m: whole metres only; were their parts cut off? Floats keep them"
+    range_m = unambiguous_range_m(frequencies_hz[0]) if len(frequencies_hz) == 1 else np.inf
+    return [of_units, _unmeasured(np.abs(amplitude[valid]), distance_m[valid], range_m)]
+
+
+def _unmeasured(amplitude: Array, distance_m: Array, range_m: float) -> str:
+    """Say which number seems to stand where nothing was measured; or "".
+
+    Several pixels have it, it is none that a phase tells, and no other comes near; or it is 0 and
+    so is the light.
+    """
+    for end_m in (distance_m.min(), distance_m.max()):
+        alike = distance_m == end_m
+        others_m = distance_m[~alike].astype(np.float64)
+        if 0 < end_m <= range_m or not others_m.size:
+            continue
+        apart_m = np.min(np.abs(others_m - end_m))
+        if alike.sum() < 2 or apart_m <= APART * abs(np.median(others_m)):
+            alike &= (amplitude == 0) & (end_m == 0)
+        if alike.any():
+            return (
+                f"distance_m: {alike.sum()} of {distance_m.size} pixels are {end_m:g}, as where "
+                "nothing was measured; mark them False in `valid`"
+            )
+    return ""
 
 
 def as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:

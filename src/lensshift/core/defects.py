@@ -56,7 +56,7 @@ def stuck_pixels(frames: Array, valid: Mask | None = None) -> Mask | None:
 def blank_frames(frames: Array, valid: Mask | None = None) -> Mask:
     """Return which frames [frame] show nothing, as of a shutter that stayed closed.
 
-        max y = min y over the valid pixels; False where there is none
+        max y = min y over the valid pixels, of which there are two or more
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def blank_frames(frames: Array, valid: Mask | None = None) -> Mask:
     """
     used = np.ones(frames.shape, np.bool_) if valid is None else valid
     shown = [one[seen] for one, seen in zip(frames, used, strict=True)]
-    return np.array([bool(one.size) and bool(np.all(one == one[0])) for one in shown])
+    return np.array([one.size > 1 and bool(np.all(one == one[0])) for one in shown])
 
 
 def doubts_about_frames(

@@ -9,15 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0  # by definition
 MILLIMETRE_M = 1e-3
-# c / 2f is 150 km here, which no camera lights: a smaller number is meant in kHz or MHz.
-LEAST_MODULATION_HZ = 1e3
 # No sensor of light has pixels that are wider; seen through a microscope they may be of any size.
 MOST_PITCH_MM = 10.0
 # The widest lenses without distortion see 135 degrees, the narrowest of cameras (1.2 m of focal
 # length) 0.05 degrees with a sensor of 1 mm. Parts of sensors of fewer pixels are no camera's.
 LEAST_FIELD_DEG, MOST_FIELD_DEG, FEWEST_PX = 0.05, 150.0, 16
-# What no camera lights.
+# What no camera lights. A frequency whose c / 2f is beyond it is meant in kHz or MHz.
 MOST_DISTANCE_M = 1e3
+LEAST_MODULATION_HZ = SPEED_OF_LIGHT_MPS / (2.0 * MOST_DISTANCE_M)
 # Several frequencies reach some ten times farther than c / 2f of the first one. Millimetres are a
 # thousand times too large: even a scene at a twentieth of the range shows.
 _MOST_RANGES = 25.0
