@@ -252,6 +252,19 @@ def test_whole_metres_are_questioned() -> None:
         Burst.from_arrays(1.0 + far_m, far_m, offset_px=np.zeros((2, 2)), modulation_hz=15e6)
 
 
+@pytest.mark.parametrize(
+    ("frames", "cure"),
+    [
+        (np.ones((3, 4, *SHAPE)), "make complex frames: .d0 - d2. .*d1 - d3"),
+        (np.ones((3, 2, *SHAPE)), "make complex frames: re"),
+        (np.ones((2, 3, *SHAPE), complex), "modulation_hz: expected as many frequencies"),
+    ],
+)
+def test_arrays_of_four_axes_are_refused_with_their_cure(frames: object, cure: str) -> None:
+    with pytest.raises(DataError, match=cure):
+        Burst.from_arrays(frames)
+
+
 @pytest.mark.parametrize("pitch_mm", [155.0, (0.155, 155.0)])
 def test_a_pitch_that_can_hardly_be_in_millimetres_is_questioned(pitch_mm: object) -> None:
     with pytest.warns(QualityWarning, match="pitch_mm: expected the pixel pitch in mm, got"):

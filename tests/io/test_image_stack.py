@@ -84,6 +84,25 @@ def test_tiff_of_a_narrow_sensor_is_not_colour(tmp_path: Path, last: int) -> Non
     np.testing.assert_array_equal(load(tmp_path / "a.tif"), frames)
 
 
+@pytest.mark.parametrize("count", [3, 4])
+def test_frames_that_tifffile_takes_for_colours(tmp_path: Path, count: int) -> None:
+    frames = frames_of("u2", (count, 5, 7))
+    with warnings.catch_warnings():  # tifffile itself calls this deprecated
+        warnings.simplefilter("ignore", DeprecationWarning)
+        tifffile.imwrite(tmp_path / "a.tif", np.moveaxis(frames, 0, -1))
+    with pytest.raises(DataError, match="say --frame-axis last if its channels are frames"):
+        load_image_stack(tmp_path / "a.tif")
+    burst = load_image_stack(tmp_path / "a.tif", frame_axis=-1)
+    np.testing.assert_array_equal(burst.amplitude, frames)
+
+
+@pytest.mark.parametrize("channel", [1, -1])
+def test_arrays_of_one_channel(tmp_path: Path, channel: int) -> None:
+    frames = frames_of("u2")
+    np.save(tmp_path / "a.npy", np.expand_dims(frames, channel))
+    np.testing.assert_array_equal(load(tmp_path / "a.npy"), frames)
+
+
 def test_tiff_that_tifffile_cannot_decompress(tmp_path: Path) -> None:
     frames = frames_of("u2")
     pages = [Image.fromarray(frame) for frame in frames]

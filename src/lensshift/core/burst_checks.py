@@ -29,13 +29,24 @@ def as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None
         cure = "; load_image_stack reads files" if frames.dtype.kind == "U" else ""
         raise DataError(f"expected numbers, got dtype {frames.dtype}{cure}", field=name)
     if frames.ndim != 3:
-        raise DataError(f"expected [frame row col], got shape {frames.shape}", field=name)
+        expected = f"expected [frame row col], got shape {frames.shape}"
+        raise DataError(f"{expected}{cure_of_axes(frames.shape)}", field=name)
     if frames.size == 0:
         raise DataError(f"expected at least one pixel, got shape {frames.shape}", field=name)
     if shape is not None and frames.shape != shape:
         raise DataError(f"expected shape {shape} like amplitude, got {frames.shape}", field=name)
     native = frames.dtype.newbyteorder("=")
     return frames.astype(_COMMON.get(native, frames.dtype), copy=False)
+
+
+def cure_of_axes(shape: tuple[int, ...]) -> str:
+    """Say how frames are made of arrays of four axes, as those of a time-of-flight pixel; or ""."""
+    cure = ""
+    if len(shape) == 4 and 2 in shape[:2]:
+        cure += "; of real and imaginary parts, make complex frames: re + 1j * im"
+    if len(shape) == 4 and 4 in shape[:2]:
+        cure += "; of four phases, make complex frames: (d0 - d2) + 1j * (d1 - d3)"
+    return cure
 
 
 def unmasked(*arrays: ArrayLike | None) -> Mask | None:
@@ -175,7 +186,9 @@ def as_phasors(
         len(modulation_hz) if isinstance(modulation_hz, tuple) else int(modulation_hz is not None)
     )
     frames = phasors.shape[1:] if valid is None else valid.shape
-    if phasors.dtype.kind != "c" or count == 0 or phasors.shape != (count, *frames):
+    if count == 0:
+        raise DataError("expected as many frequencies as phasors have", field="modulation_hz")
+    if phasors.dtype.kind != "c" or phasors.shape != (count, *frames):
         raise DataError(
             f"expected complex [frequency frame row col] of {count} modulation_hz, got "
             f"{phasors.dtype} of shape {phasors.shape}",

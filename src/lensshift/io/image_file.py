@@ -6,8 +6,9 @@ import logging
 import math
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -55,17 +56,19 @@ def image_suffix(path: str | Path) -> str:
     return inner if packed else path.suffix.lower()
 
 
-def load_frames(path: str | Path) -> NDArray[Any]:
+def load_frames(path: str | Path, *, colours: bool = False) -> NDArray[Any]:
     """Read the frames of an image file, [frame row col] or, for NPY, whatever is in it.
 
-    Integers stay integers. Colour images are taken only if their channels are equal. Of a FITS file
+    Integers stay integers. Colour images are taken only if their channels are equal; with
+    `colours` those of a TIFF are the last axis, as where they are frames. Of a FITS file
     (.fits.gz and .fits.fz too): the extensions AMPLITUDE or SCI, else all images, if they have one
     size. DataError if the file is missing, damaged, of another kind or not greyscale. ImportError
     if a FITS file is asked for and astropy is not installed.
     """
     require_file(path)
     suffix = image_suffix(path)
-    loaders = {".npy": _load_npy, **dict.fromkeys(TIFF_SUFFIXES, _load_tiff)}
+    loaders: dict[str, Callable[[str | Path], NDArray[Any]]] = {".npy": _load_npy}
+    loaders |= dict.fromkeys(TIFF_SUFFIXES, partial(_load_tiff, colours=colours))
     loaders |= dict.fromkeys(_PILLOW_SUFFIXES, _load_pillow)
     loaders |= dict.fromkeys(FITS_SUFFIXES, _load_fits)
     if suffix in JPEG_SUFFIXES:
@@ -156,7 +159,7 @@ def _check_signature(path: str | Path, signature: bytes, kind: str) -> None:
             raise DataError(f"not {kind}")
 
 
-def _load_tiff(path: str | Path) -> NDArray[Any]:
+def _load_tiff(path: str | Path, *, colours: bool = False) -> NDArray[Any]:
     import tifffile
 
     with strict_tifffile(), tifffile.TiffFile(path) as file:
@@ -179,6 +182,8 @@ def _load_tiff(path: str | Path) -> NDArray[Any]:
         check_unpacked(claimed, size, "pages")
         if len(series) > 1:  # pages that were written one by one
             return np.concatenate([_pages(one) for one in series])
+        if colours and series[0].axes == "YXS":
+            return series[0].asarray()
         return _pages(series[0], ours="<Channel" in told and 'Name="amplitude"' in told)
 
 
@@ -204,7 +209,9 @@ def _pages(series: Any, *, ours: bool = False) -> NDArray[Any]:
     if ours and "C" in series.axes:  # beside it lie distance, deviations ...
         values = values.take(0, axis=series.axes.index("C"))
     if "S" in series.axes and not _are_frames(series, values):
-        values = _grey(np.moveaxis(values, series.axes.index("S"), -1))
+        one = series.axes == "YXS"
+        cure = ", or say --frame-axis last if its channels are frames" if one else ""
+        values = _grey(np.moveaxis(values, series.axes.index("S"), -1), cure)
     if values.ndim < 2:
         raise DataError(f"expected [row col] or [frame row col], got shape {values.shape}")
     frames: NDArray[Any] = values.reshape(-1, *values.shape[-2:])
@@ -338,14 +345,14 @@ def _pillow_frame(image: Any, number: int) -> NDArray[Any]:
     return _grey(np.asarray(image.convert("RGB") if image.mode == "P" else image))
 
 
-def _grey(channels: NDArray[Any]) -> NDArray[Any]:
+def _grey(channels: NDArray[Any], cure: str = "") -> NDArray[Any]:
     """Return the grey image of [... channel] whose colours are equal and opaque."""
     count = channels.shape[-1]
     if count in (2, 4):
         alpha = channels[..., -1]
         if np.any(alpha != alpha.flat[0]):
-            raise DataError(f"expected an opaque image, got transparency; {_ADVICE}")
+            raise DataError(f"expected an opaque image, got transparency; {_ADVICE}{cure}")
         channels = channels[..., :-1]
     if count > 4 or np.any(channels != channels[..., :1]):
-        raise DataError(f"expected greyscale, got a colour image; {_ADVICE}")
+        raise DataError(f"expected greyscale, got a colour image; {_ADVICE}{cure}")
     return np.ascontiguousarray(channels[..., 0])

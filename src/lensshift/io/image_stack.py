@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core.burst_checks import cure_of_axes
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.settings import parse_json
 from lensshift.core.types import Burst, OffsetSource
@@ -105,7 +106,8 @@ def load_stack_fields(
         if path.suffix.lower() == ".npz":
             return _npz_fields(path, key, frame_axis)
         if not path.is_dir():
-            return _plain_fields(_stack(load_frames(path), frame_axis, path), path)
+            frames = load_frames(path, colours=frame_axis == -1)
+            return _plain_fields(_stack(frames, frame_axis, path), path)
         source = _images_in(path)
     paths = [Path(path) for path in source]
     return _plain_fields(_concatenate(paths), paths[0])
@@ -173,15 +175,12 @@ def _stack(
         return values[np.newaxis]
     if values.ndim == 4 and values.dtype.kind == "c":  # phasors [frequency frame row col]
         return values
+    for channel in (1, -1):
+        if values.ndim == 4 and values.shape[channel] == 1:
+            values = values.squeeze(channel)
     if values.ndim != 3:
-        cure = ""
-        if values.ndim == 4 and 2 in values.shape[:2]:
-            cure += "; of real and imaginary parts, make complex frames: re + 1j * im"
-        if values.ndim == 4 and 4 in values.shape[:2]:  # as those of a time-of-flight pixel
-            cure += "; of four phases, make complex frames: (d0 - d2) + 1j * (d1 - d3)"
-        raise DataError(
-            f"expected [frame row col], got shape {values.shape}{cure}", field=field, source=path
-        )
+        problem = f"expected [frame row col], got shape {values.shape}{cure_of_axes(values.shape)}"
+        raise DataError(problem, field=field, source=path)
     if frame_axis is None and _lie_last(values):
         raise DataError(
             f"the {values.shape[-1]} slices of {values.shape} along the last axis are as alike as "
