@@ -239,14 +239,14 @@ def test_lost_frames_are_noticed():
 def test_a_frame_that_shows_nothing_is_named_and_left_out(full):
     clean, one = clean_frames(scene(11).truth), camera()
     dark = np.full(SHAPE, np.nan)
-    with pytest.warns(QualityWarning, match="place 0 has no valid pixel"):
+    with pytest.warns(QualityWarning, match="place 0 shows nothing"):
         one.take(dark)
     with pytest.raises(ValueError, match="a frame with a valid pixel"):
         one.picture()
     run(one, clean, 7 if full else 3, sigma=1e-3, rng=np.random.default_rng(1), first=1)
     at = 0 if full else 2  # of the round before, or the first of its place
     one.take(clean[0], place=0)
-    with pytest.warns(QualityWarning, match=f"place {at} has no valid pixel"):
+    with pytest.warns(QualityWarning, match=f"place {at} shows nothing"):
         found = one.step(dark, place=at)
     assert found.settings["event"] == "frames lost"
     assert found.settings["places"] == sorted({0, 1, 2, 3} - {at})
@@ -254,6 +254,21 @@ def test_a_frame_that_shows_nothing_is_named_and_left_out(full):
     alone = lensshift.reconstruct(kept, SCALE, psf_sigma_px=SQUARE_PIXEL_PX)
     np.testing.assert_array_equal(found.amplitude.image, alone.amplitude.image)
     assert one.step(clean[at], place=at).settings["places"] == [0, 1, 2, 3]
+
+
+def test_a_blank_frame_is_lost_and_a_dark_scene_is_not():
+    clean, one = clean_frames(scene(11).truth), camera()
+    run(one, clean, 4, sigma=1e-3, rng=np.random.default_rng(1))
+    dark = np.zeros(SHAPE)
+    with pytest.warns(QualityWarning, match="place 0 shows nothing"):
+        assert one.step(dark).settings["places"] == [1, 2, 3]
+    for place in (1, 2):
+        with pytest.warns(QualityWarning, match=f"place {place} shows nothing"):
+            one.take(dark)
+    with pytest.warns(QualityWarning, match="scene changed"):
+        found = one.step(dark)  # nothing else is left: the light is out
+    assert found.settings["places"] == [3]
+    np.testing.assert_allclose(found.amplitude.image, 0.0, atol=1e-6)
 
 
 def test_a_scene_that_rests_asks_no_solver(monkeypatch):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.burst_checks import all_valid
+from lensshift.core.defects import blank_frames
 from lensshift.core.errors import QualityWarning
 from lensshift.core.local_means import mean_around
 from lensshift.core.types import Burst, Frame, Reconstruction, Status
@@ -84,7 +85,8 @@ class Stream:
     def take(self, frame: Frame | ArrayLike, *, place: int | None = None) -> None:
         """Take one frame and solve nothing, where not every frame needs a picture.
 
-        One without a valid pixel is lost: its place is not in the picture until the next round.
+        One that shows nothing is lost: its place is not in the picture until the next round. It has
+        no valid pixel, or all of them are alike while another frame of the picture shows more.
 
         Parameters
         ----------
@@ -101,7 +103,10 @@ class Stream:
             raise ValueError(
                 f"expected a frame of {self._template.grid.shape}, got {one.amplitude.shape}"
             )
-        shows = bool(one.valid.any())
+        place_now = self._next if place is None else place
+        others = (other for k, other in self._frames.items() if k != place_now)
+        lost = _blank(one) and not all(_blank(other) for other in others)
+        shows = bool(one.valid.any()) and not lost
         at, event, rests = self._placed(one, place, shows)
         if event == "scene changed":
             self._frames.clear()
@@ -160,7 +165,7 @@ class Stream:
             raise ValueError(f"expected a place from 0 to {count - 1}, got {place}")
         at = self._next if place is None else place
         if not shows:
-            self._warn(f"the frame of place {at} has no valid pixel and is left out")
+            self._warn(f"the frame of place {at} shows nothing and is left out")
             return at, "frames lost", False
         known = self._known
         if known is None or at not in self._frames or at not in known.frames:
@@ -291,6 +296,10 @@ def _frame_of(values: ArrayLike) -> Frame:
             f"expected numbers [row col], got {amplitude.dtype} of shape {amplitude.shape}"
         )
     return Frame(amplitude, None, np.isfinite(amplitude), float("nan"))
+
+
+def _blank(frame: Frame) -> bool:
+    return bool(blank_frames(frame.amplitude[None], frame.valid[None])[0])
 
 
 def _burst_of(template: Burst, places: list[int], frames: list[Frame]) -> Burst:
