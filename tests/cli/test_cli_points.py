@@ -42,6 +42,21 @@ def test_points_are_written_and_drawn(
         assert len(np.unique(colours)) > 300
 
 
+@pytest.mark.usefixtures("drawn")
+def test_a_stream_has_the_points_that_a_user_knows(
+    call: Call, fake: FakeReconstruct, burst_file: Path, tmp_path: Path
+) -> None:
+    reader = pytest.importorskip("mcap.reader")
+    pytest.importorskip("mcap_ros2")
+    assert call("reconstruct", burst_file, "--channel", "distance").exit_code == 0
+    file = tmp_path / "a.mcap"
+    for options, expected in (([], 0), (ANGLE, 1)):
+        assert call("convert", tmp_path / "burst_x2.nc", file, *options).exit_code == 0
+        with file.open("rb") as content:
+            channels = reader.make_reader(content).get_summary().channels.values()
+        assert [one.topic for one in channels].count("/lensshift/points") == expected
+
+
 @pytest.mark.parametrize(
     ("options", "focal_px"),
     [

@@ -248,6 +248,7 @@ def test_interrupt_leaves_nothing(call: Call, fake: FakeReconstruct, burst_file:
 
 def test_complex_pictures_are_not_for_tiff(refused: Refused, tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", amplitude=np.ones((1, 5, 7), complex), offset_px=np.zeros((1, 2)))
+    refused(["reconstruct", tmp_path / "a.npz", "--window", 1], 2, "--window takes a burst file")
     said = "a.tif: the frames are complex; take .npz, .ome.tif or .fits"
     refused(["reconstruct", tmp_path / "a.npz", "--export", tmp_path / "a.tif"], 1, said)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -12,6 +12,9 @@ from lensshift.cli.inputs import Kind, StackOptions, kind_of, load_input_burst, 
 from lensshift.cli.points import CLOUD_SUFFIXES, PointOptions, refuse_points
 from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import argument, option, verb
+
+if TYPE_CHECKING:
+    from lensshift.core.types import Reconstruction
 
 STREAM_SUFFIXES = (".mcap", ".rrd")
 IMAGE_SUFFIXES = (".npz", ".tif", ".tiff", ".fits", ".fit")
@@ -42,7 +45,7 @@ def convert(current: Session, asked: _ConvertOptions) -> None:
       lensshift convert sharp.nc cloud.ply --normals
       lensshift convert sharp.nc cloud.pcd --focal-length-mm 42.7
       lensshift convert sr.nc cloud.ply --window 17
-      lensshift convert sr.nc sr.mcap
+      lensshift convert sr.nc sr.mcap --fov-deg 60x45
     """
     source, target = asked.source, asked.target
     refuse_overwriting((source, asked.stack.offsets), (target,))
@@ -69,15 +72,25 @@ def _convert_stream(current: Session, asked: _ConvertOptions) -> None:
 
     source, target, window = asked.source, asked.target, asked.window
     if kind_of(source) is Kind.RECONSTRUCTION:
-        export_stream([(0.0, load_reconstruction(source))], target)
+        export_stream([(0.0, _looking(load_reconstruction(source), asked.points))], target)
     else:
         time_s = sequence_numbers(source)["time"]
         numbers = range(len(time_s)) if window is None else (window,)
         with Progress(f"writing {target.name}") as progress:
-            windows = (load_window(source, k) for k in numbers)  # refuses one that is not there
+            windows = (_looking(load_window(source, k), asked.points) for k in numbers)
             pictures = ((float(time_s[k]), one) for k, one in zip(numbers, windows, strict=True))
             export_stream(progress.counted(pictures, len(numbers)), target)
     current.say(f"wrote {target}")
+
+
+def _looking(result: Reconstruction, points: PointOptions) -> Reconstruction:
+    """Return the result with where its pixels look, if that is told."""
+    from lensshift.core.grid import Grid
+
+    rows, cols = (count // result.scale for count in result.grid.shape)
+    row_mm, col_mm = (pitch_mm * result.scale for pitch_mm in result.grid.pitch_mm)
+    told = points.intrinsics(Grid((rows, cols), (row_mm, col_mm)), None)
+    return result if told is None else replace(result, intrinsics=told.refine(result.scale))
 
 
 def _convert_burst(asked: _ConvertOptions) -> None:
@@ -100,7 +113,6 @@ def _convert_burst(asked: _ConvertOptions) -> None:
 
 
 def _convert_result(current: Session, asked: _ConvertOptions) -> tuple[float, float] | None:
-    from lensshift.core.grid import Grid
     from lensshift.io import export_reconstruction, load_reconstruction, load_window
 
     source, target, points, window = asked.source, asked.target, asked.points, asked.window
@@ -110,11 +122,7 @@ def _convert_result(current: Session, asked: _ConvertOptions) -> tuple[float, fl
             ".ply, .pcd, .mcap or .rrd"
         )
     result = load_reconstruction(source) if window is None else load_window(source, window)
-    rows, cols = (count // result.scale for count in result.grid.shape)
-    row_mm, col_mm = (pitch_mm * result.scale for pitch_mm in result.grid.pitch_mm)
-    told = points.intrinsics(Grid((rows, cols), (row_mm, col_mm)), None)
-    if told is not None:
-        result = replace(result, intrinsics=told.refine(result.scale))
+    result = _looking(result, points)
     refuse_points([target], result.intrinsics, with_distance=result.distance_m is not None)
     chosen = picked(points, "keep_flying normals")
     bits: Literal[8, 16] = 16 if asked.bits == "16" else 8

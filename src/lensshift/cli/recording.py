@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from lensshift.cli.inputs import StackOptions, check_netcdf, refuse_overwriting
+from lensshift.cli.inputs import (
+    Kind,
+    StackOptions,
+    check_netcdf,
+    kind_of,
+    refuse_overwriting,
+)
 from lensshift.cli.points import PointOptions
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option
@@ -67,6 +73,10 @@ def reconstruct_windows(
 
     source, split = asked.burst, asked.split
     target = asked.out or source.with_name(f"{source.stem}_x{asked.scale}_windows.nc")
+    if kind_of(source) is Kind.STACK:
+        raise typer.BadParameter(
+            f"{source}: --window takes a burst file; lensshift convert makes one of images"
+        )
     check_netcdf(target, "a sequence")
     refuse_overwriting((source,), (target,))
     if target.exists():
