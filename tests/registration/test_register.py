@@ -13,8 +13,8 @@ from scenes import PITCH_MM, checker, scene, taken, waves
 from lensshift.camera import QUARTER_SQUARE_PX, RunningCamera, camera_preset
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
-from lensshift.registration import likely_shifts, phase_correlation, register
-from lensshift.registration.blocks import blocks_of, scatter_over_blocks
+from lensshift.registration import blocks, likely_shifts, phase_correlation, register
+from lensshift.registration.blocks import blocks_of, likely_where_telling, scatter_over_blocks
 from lensshift.registration.likelihood import ShiftFit, with_given
 from lensshift.scene import four_boxes, siemens_star_card
 
@@ -330,6 +330,24 @@ def test_frames_with_hardly_any_contrast_have_no_gain() -> None:
     frames[0] = -900.0
     frames[:, 4, 5] += 1e-9
     assert np.all(np.isfinite(register(burst_of(frames), photometric=True).offset_sigma_px))
+
+
+def test_many_frames_are_told_some_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    offset_px = np.random.default_rng(3).uniform(-1.0, 1.0, (11, 2))
+    frames = waves(offset_px)
+    frames += 0.01 * np.std(frames) * np.random.default_rng(4).standard_normal(frames.shape)
+    told = {"reference": 6, "photometric": False}
+    valid = np.ones(frames.shape, bool)
+    whole = likely_where_telling(frames, valid, offset_px, **told)
+    monkeypatch.setattr(blocks, "MOST_TOGETHER", 4)
+    parts = likely_where_telling(frames, valid, offset_px, **told)
+    np.testing.assert_array_equal(parts.offset_px[6], offset_px[6])
+    for fit in (whole, parts):
+        assert np.all(np.abs(fit.offset_px - offset_px) <= 4 * fit.sigma_px)
+    np.testing.assert_allclose(parts.offset_px, whole.offset_px, atol=3e-3)
+    assert np.array_equal(parts.sigma_px == 0, whole.sigma_px == 0)
+    assert parts.covariance_px2.shape == whole.covariance_px2.shape
+    assert parts.converged
 
 
 @pytest.mark.parametrize("photometric", [False, True])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit, likely_shifts
@@ -16,6 +17,8 @@ Estimate = Callable[[Array, Mask], tuple[Shifts, Shifts]]
 
 # Of larger frames the likelihood is asked of a part: its time goes with their pixels.
 MOST_PX = 96
+# And of so many frames together: its time goes with their cube. Scans for a calibration have 35.
+MOST_TOGETHER = 36
 LEAST_BLOCK_PX = 12  # along an axis, for a shift of its own
 LEAST_VALID = 0.5  # of the pixels of a block or frame
 
@@ -127,10 +130,39 @@ def filled(frames: Array, valid: Mask) -> Array:
 def likely_where_telling(
     frames: Array, valid: Mask, start_px: Shifts, *, reference: int, photometric: bool
 ) -> ShiftFit:
-    """Return the likeliest shifts; of large frames those of the part that shows most of them."""
-    part = telling_part(frames, valid, start_px, MOST_PX)
-    return likely_shifts(
-        frames[part], valid[part], start_px, reference=reference, photometric=photometric
+    """Return the likeliest shifts; of large frames those of the part that shows most of them.
+
+    Of many frames some at a time, each time with the reference.
+    """
+    part, count = telling_part(frames, valid, start_px, MOST_PX), len(frames)
+    frames, valid = frames[part], valid[part]
+    others = np.delete(np.arange(count), reference)
+    fits = []
+    for some in np.array_split(others, -(-len(others) // (MOST_TOGETHER - 1))):
+        numbers = np.sort([reference, *some])
+        fit = likely_shifts(
+            frames[numbers], valid[numbers], start_px[numbers],
+            reference=int(np.searchsorted(numbers, reference)), photometric=photometric,
+        )  # fmt: skip
+        fits.append((numbers, fit))
+    return fits[0][1] if len(fits) == 1 else _joined(fits, count)
+
+
+def _joined(fits: list[tuple[NDArray[np.intp], ShiftFit]], count: int) -> ShiftFit:
+    """Return one fit of all frames; what the error of the reference adds to all is left out."""
+    offset_px, gain = np.zeros((count, 2)), np.ones(count)
+    covariance_px2, axes = np.zeros((count, 2, count, 2)), np.arange(2)
+    for numbers, fit in fits:
+        size = len(numbers)
+        offset_px[numbers], gain[numbers] = fit.offset_px, fit.gain
+        own = fit.covariance_px2.reshape(size, 2, size, 2)
+        covariance_px2[np.ix_(numbers, axes, numbers, axes)] = own
+    return ShiftFit(
+        offset_px,
+        covariance_px2.reshape(2 * count, 2 * count),
+        gain,
+        float(np.sqrt(np.mean([fit.noise_sigma**2 for _, fit in fits]))),
+        all(fit.converged for _, fit in fits),
     )
 
 
