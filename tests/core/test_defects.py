@@ -48,6 +48,20 @@ def test_hot_and_dead_pixels_are_found_and_no_others(seed: int, unit: float) -> 
     assert np.argwhere(found).tolist() == [[15, 30], [22, 0]]
 
 
+@pytest.mark.parametrize("unit", [1.0, -250.0])
+def test_dead_rows_and_columns_are_found_and_no_others(unit: float) -> None:
+    y = soft_scene(3, FOUR_PX)
+    y[:, 9], y[:, :, 20] = 0.0, 0.6
+    found = stuck_pixels(unit * y)
+    assert found is not None
+    row, col = np.indices(SHAPE)
+    np.testing.assert_array_equal(found, (row == 9) | (col == 20))
+    y[:, 10:14] = 0.0  # what never changes need not be a defect: a border, a sky at its end
+    found = stuck_pixels(unit * y)
+    assert found is not None
+    np.testing.assert_array_equal(found, col == 20)
+
+
 def test_points_of_light_behind_a_lens_are_no_defects() -> None:
     rng = np.random.default_rng(4)
     for _ in range(40):

@@ -13,6 +13,8 @@ STANDS_OUT = 10.0
 # And by this part of the standard deviation of the frames: less does little harm, and a flat hill
 # whose top is one level of a converter higher does so, too.
 LEAST_CONTRAST = 0.5
+# Of the pixels of a row that lives, so many at most are the same in all frames: noise changes all.
+MOST_CHANGES = 0.5
 # What enters and leaves a picture at its borders changes its mean by a few hundredths of the
 # standard deviation of its pixels; half of that is another exposure or another light.
 OTHER_LIGHT = 0.5
@@ -32,7 +34,8 @@ def stuck_pixels(frames: Array, valid: Mask | None = None) -> Mask | None:
         min_k y - max_k of 8 neighbours > 10 max over the 9 of (max_k y - min_k y),   or below them
 
     Hot and dead pixels lie at one place in all frames: they hold shifts that are looked for at 0,
-    and the picture shows them as squares. The frames have to lie apart by a good part of a pixel.
+    and the picture shows them as squares. So do rows and columns that never change between others
+    that do. The frames have to lie apart by a good part of a pixel.
 
     Parameters
     ----------
@@ -49,8 +52,20 @@ def stuck_pixels(frames: Array, valid: Mask | None = None) -> Mask | None:
     change = np.maximum(highest - lowest, 0.0)  # -inf where a pixel is never valid
     change = np.maximum(change, _of_neighbours(change, np.maximum))
     limit = np.maximum(STANDS_OUT * change, LEAST_CONTRAST * float(np.std(frames[used])))
-    stuck = used.all(axis=0) & np.isfinite(stands_out) & (stands_out > limit)
+    stuck = np.isfinite(stands_out) & (stands_out > limit)
+    still = highest == lowest
+    stuck |= _still_rows(still)[:, None] | _still_rows(still.T)
+    stuck &= used.all(axis=0)
     return stuck if stuck.any() else None
+
+
+def _still_rows(still: Mask) -> Mask:
+    """Return the rows that are still between two of which most pixels are not."""
+    share = still.mean(axis=1)
+    found = share == 1.0
+    found[1:-1] &= np.maximum(share[:-2], share[2:]) < MOST_CHANGES
+    found[[0, -1]] = False
+    return np.asarray(found)
 
 
 def blank_frames(frames: Array, valid: Mask | None = None) -> Mask:
