@@ -36,7 +36,8 @@ def frame_from(grabbed: Any) -> tuple[Frame, Mapping[str, Array]]:
     else:
         fields = {"amplitude": grabbed}
     if fields.get("amplitude") is None:
-        raise ValueError(f"expected an entry 'amplitude', got {sorted(map(str, fields))}")
+        got = sorted(map(str, fields)) if isinstance(grabbed, Mapping) else grabbed
+        raise ValueError(f"expected a picture, or an entry 'amplitude', got {got!r:.80}")
     amplitude = np.array(fields["amplitude"])  # a copy: the function may use its buffer again
     if amplitude.dtype.kind not in "buif" or amplitude.ndim != 2 or amplitude.size == 0:
         raise TypeError(
