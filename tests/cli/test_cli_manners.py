@@ -6,13 +6,17 @@ import sys
 import threading
 import time
 from dataclasses import fields
+from pathlib import Path
 
+import numpy as np
 import pytest
 from stand_in import Call
 from typer.testing import CliRunner
 
 from lensshift.cli import session
 from lensshift.cli.app import app
+from lensshift.core.types import Burst
+from lensshift.io import save_burst
 from lensshift.reconstruction.methods import METHODS
 from lensshift.reconstruction.reconstruct import reconstruct
 
@@ -41,6 +45,17 @@ def test_no_description_is_cut(call: Call, group: list[str]) -> None:
     verbs = text.split("Commands:")[1]
     assert "..." not in verbs
     assert len(verbs.split()) > 20
+
+
+def test_long_tables_are_shortened(call: Call, tmp_path: Path) -> None:
+    offset_px = np.arange(400.0).reshape(200, 2) / 800
+    burst = Burst.from_arrays(np.ones((200, 4, 5)), offset_px=offset_px, pitch_mm=0.1)
+    save_burst(burst, tmp_path / "long.nc")
+    said = call("info", tmp_path / "long.nc").stdout
+    assert f"... and {200 - session.MOST_ROWS} more: --json has all of them" in said
+    assert len(said.splitlines()) < session.MOST_ROWS + 20
+    told = json.loads(call("info", tmp_path / "long.nc", "--json").stdout)
+    assert len(told["offset_px"]) == 200
 
 
 def test_methods_are_listed_with_their_options(call: Call) -> None:

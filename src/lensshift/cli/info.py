@@ -102,11 +102,11 @@ def _say_burst(current: Session, burst: Burst) -> None:
     )
     current.say(f"looks       {view_text(view)}")
     current.say(f"offsets     {burst.offset_source}, (row, col) in px:")
-    for number, (row, col) in enumerate(burst.offset_px):
-        sigma = ""
-        if burst.offset_sigma_px is not None:
-            sigma = "  sigma {:.4f} {:.4f}".format(*burst.offset_sigma_px[number])
-        current.say(f"  {number:>4}  {row:+9.4f} {col:+9.4f}{sigma}")
+    rows = [f"  {k:>4}  {row:+9.4f} {col:+9.4f}" for k, (row, col) in enumerate(burst.offset_px)]
+    if burst.offset_sigma_px is not None:
+        sigmas = ("  sigma {:.4f} {:.4f}".format(*one) for one in burst.offset_sigma_px)
+        rows = [row + sigma for row, sigma in zip(rows, sigmas, strict=True)]
+    current.say_rows(rows)
     say_turns(current, burst)
     for name, value in burst.meta.items():
         current.say(f"meta        {name}: {value!s:.100}")

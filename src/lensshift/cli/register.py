@@ -82,10 +82,11 @@ def _say(current: Session, burst: Burst) -> None:
     current.result["frames"] = burst.frame_count
     current.tell(burst, "offset_px offset_sigma_px")
     current.say("frame      row px      col px   +- row   +- col")
-    errors = burst.offset_sigma_px
-    for k, (row, col) in enumerate(burst.offset_px):
-        told = "" if errors is None else f"{errors[k, 0]:9.4f}{errors[k, 1]:9.4f}"
-        current.say(f"{k:5d}{row:12.4f}{col:12.4f}{told}")
+    rows = [f"{k:5d}{row:12.4f}{col:12.4f}" for k, (row, col) in enumerate(burst.offset_px)]
+    if burst.offset_sigma_px is not None:
+        errors = (f"{row:9.4f}{col:9.4f}" for row, col in burst.offset_sigma_px)
+        rows = [row + error for row, error in zip(rows, errors, strict=True)]
+    current.say_rows(rows)
     say_turns(current, burst)
 
 
@@ -98,5 +99,5 @@ def say_turns(current: Session, burst: Burst) -> None:
     current.tell(burst, "affine")
     current.say("frame  turn deg   size %")
     turn_deg, size = turns_of(burst.affine)
-    for k, (one, grown) in enumerate(zip(turn_deg, 100 * size, strict=True)):
-        current.say(f"{k:5d}{one:10.3f}{grown:9.3f}")
+    both = zip(turn_deg, 100 * size, strict=True)
+    current.say_rows([f"{k:5d}{one:10.3f}{grown:9.3f}" for k, (one, grown) in enumerate(both)])

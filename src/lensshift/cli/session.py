@@ -7,7 +7,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,6 +37,7 @@ _EXTRAS = {
     "matplotlib": "plot", "skimage": "deconvolution", "xarray": "notebook", "pandas": "notebook",
     "astropy": "fits", "torch": "torch", "distributed": "cluster", "starlette": "live",
 }  # fmt: skip
+MOST_ROWS = 40  # of a table on a terminal; a scan for a calibration has 35
 _QUIET_S = 1.0  # what is over sooner needs no word
 _PREPARING = "preparing (compiles once, after an installation)"
 _TERMINAL_EVERY_S = 0.1  # smooth to the eye
@@ -60,6 +61,13 @@ class Session:
             self.waiting.close()
         if not self.as_json:
             typer.echo(printable(text))
+
+    def say_rows(self, rows: Sequence[str]) -> None:
+        """Print the rows of a table, of a long one the first."""
+        for row in rows[:MOST_ROWS]:
+            self.say(row)
+        if len(rows) > MOST_ROWS:
+            self.say(f"  ... and {len(rows) - MOST_ROWS} more: --json has all of them")
 
     def count(self, done: int, total: int) -> None:
         """Take note of one step of a known number."""
