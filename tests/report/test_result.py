@@ -48,6 +48,20 @@ def test_all_there_is_to_know_is_drawn(shape: tuple[int, int], distance: bool) -
         assert_well_drawn(figure)
 
 
+@pytest.mark.parametrize("shape", [(90, 12), (60, 40), (40, 60), (12, 300)])
+@pytest.mark.parametrize("distance", [True, False])
+def test_images_of_any_shape_fit_a_page_and_their_titles_too(
+    shape: tuple[int, int], distance: bool
+) -> None:
+    figure = result_figure(_result(shape, distance=distance), {"amplitude": np.ones(shape)})
+    assert figure.get_size_inches()[1] < 20.0  # tall ones were 70 inches high
+    figure.draw_without_rendering()
+    titled = [axes for axes in figure.axes if axes.get_title("left")]
+    assert len(titled) == (6 if distance else 4)
+    for axes in titled:
+        assert axes._left_title.get_window_extent().x1 < figure.bbox.x1
+
+
 @pytest.mark.parametrize("shape", [(40, 30), (16, 64)])
 def test_each_kind_of_picture_has_its_column_where_one_is_missing(shape: tuple[int, int]) -> None:
     """Phasors of several frequencies have no bicubic of their distance."""

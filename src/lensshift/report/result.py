@@ -21,7 +21,7 @@ from lensshift.report.style import SMALL_PT, new_figure, styled
 
 _UNITS = {"amplitude": "", "distance": " (m)"}
 _MOST_MISFIT = 10.0  # ten times the variance that was expected
-_TITLE_IN, _CLOUD_IN = 0.32, 6.0  # heights
+_TITLE_IN, _CLOUD_IN, _PAGE_IN = 0.32, 6.0, 9.0  # heights
 _KINDS = ("image", "reference", "std", "misfit")  # of panels, in the order that they are shown
 
 
@@ -62,9 +62,9 @@ def result_figure(
     beside = 2 * rows > cols  # else wide images, below each other
     most = len(kinds)
     down, across = (len(lists), most) if beside else (most, len(lists))
-    if beside and len(lists) == 1 and most > 2:  # large enough to see something
+    if beside and len(lists) == 1 and most > 2 and rows < 2 * cols:  # large enough to see something
         down, across = -(-most // 2), 2
-    high_in = down * (wide_in / across * rows / cols * 0.85 + _TITLE_IN)
+    high_in = down * _panel_in(wide_in / across, rows / cols)
     below = None if cloud is None else drawn_pixels(cloud_figure(cloud))
     heights_in = [high_in]
     if below is not None:
@@ -95,7 +95,7 @@ def estimate_figure(estimate: Estimate, *, wide_in: float = 11.0) -> Figure:
     panels = list(_panels("image", estimate, None).values())
     rows, cols = estimate.image.shape
     across = len(panels) if 2 * rows > cols else 1
-    high_in = wide_in / across * rows / cols * 0.85 + _TITLE_IN
+    high_in = _panel_in(wide_in / across, rows / cols)
     figure = new_figure(wide_in, high_in * len(panels) / across + 0.2)
     for axes, panel in zip(
         figure.subplots(len(panels) // across, across, squeeze=False).flat, panels, strict=True
@@ -103,6 +103,11 @@ def estimate_figure(estimate: Estimate, *, wide_in: float = 11.0) -> Figure:
         axes.set_axis_off()
         _draw(axes, panel)
     return figure
+
+
+def _panel_in(wide_in: float, high_to_wide: float) -> float:
+    """Return the height of a panel of this width; that of a tall image is as high as a page."""
+    return min(wide_in * high_to_wide * 0.85, _PAGE_IN) + _TITLE_IN
 
 
 def _panels(
@@ -128,7 +133,7 @@ def _panels(
 def _misfit(result: Reconstruction) -> dict[str, _Panel]:
     """Return the misfit of the frames, which phasors have in common, or none."""
     known = [one.misfit for one in result.channels.values() if one.misfit is not None]
-    label = "misfit of the frames, 1 where noise explains it"
+    label = "misfit, 1: noise alone"
     scale = LogNorm(1.0, _MOST_MISFIT)
     if not known:
         return {}
