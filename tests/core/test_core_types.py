@@ -252,9 +252,19 @@ def test_whole_metres_are_questioned() -> None:
         Burst.from_arrays(1.0 + far_m, far_m, offset_px=np.zeros((2, 2)), modulation_hz=15e6)
 
 
+def test_a_mask_of_the_sensor_holds_for_all_frames() -> None:
+    mask = np.ones(SHAPE, bool)
+    mask[2, 3] = False
+    for valid in (mask, mask[None]):
+        burst = Burst.from_arrays(np.ones((3, *SHAPE)), valid=valid)
+        assert burst.valid is not None
+        np.testing.assert_array_equal(burst.valid, np.broadcast_to(mask, (3, *SHAPE)))
+
+
 @pytest.mark.parametrize(
     ("frames", "cure"),
     [
+        ([np.ones(SHAPE), np.ones((2, 3))], "amplitude: expected images of one size"),
         (np.ones((3, 4, *SHAPE)), "make complex frames: .d0 - d2. .*d1 - d3"),
         (np.ones((3, 2, *SHAPE)), "make complex frames: re"),
         (np.ones((2, 3, *SHAPE), complex), "modulation_hz: expected as many frequencies"),

@@ -96,6 +96,16 @@ def test_frames_that_tifffile_takes_for_colours(tmp_path: Path, count: int) -> N
     np.testing.assert_array_equal(burst.amplitude, frames)
 
 
+def test_a_mask_of_the_sensor_holds_for_all_frames(tmp_path: Path) -> None:
+    frames = frames_of("f4")
+    frames[1, 0, 0] = np.nan
+    mask = np.ones(frames.shape[1:], bool)
+    mask[2, 3] = False
+    np.savez(tmp_path / "a.npz", amplitude=frames, valid=mask)
+    burst = load_image_stack(tmp_path / "a.npz", np.zeros((len(frames), 2)))
+    np.testing.assert_array_equal(burst.valid, mask & np.isfinite(frames))
+
+
 @pytest.mark.parametrize("channel", [1, -1])
 def test_arrays_of_one_channel(tmp_path: Path, channel: int) -> None:
     frames = frames_of("u2")

@@ -22,9 +22,17 @@ _COMMON: dict[np.dtype[Any], type[np.generic]] = {
 }
 
 
+def as_array(values: ArrayLike, name: str) -> Array:
+    """Return an array, of a list of images too if they are of one size."""
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise DataError("expected images of one size", field=name) from error
+
+
 def as_frames(values: ArrayLike, name: str, shape: tuple[int, ...] | None = None) -> Array:
     """Return images [frame row col] of numbers, of this shape if one is given."""
-    frames = np.asarray(values)
+    frames = as_array(values, name)
     if frames.dtype.kind not in "uifc":
         cure = "; load_image_stack reads files" if frames.dtype.kind == "U" else ""
         raise DataError(f"expected numbers, got dtype {frames.dtype}{cure}", field=name)
@@ -61,9 +69,12 @@ def all_valid() -> Mask:
 
 
 def as_valid(valid: Array, frames: Array) -> Mask:
-    """Return a mask of the frames' shape in which not everything is False."""
+    """Return a mask of the frames' shape in which not everything is False.
+
+    One of the sensor, [row col], holds for all frames.
+    """
     mask = np.asarray(True if valid is None else valid)
-    if mask.ndim == 0 and mask.dtype == np.bool_ and mask:
+    if mask.ndim == 0 or mask.shape in (frames.shape[1:], (1, *frames.shape[1:])):
         mask = np.broadcast_to(mask, frames.shape)
     if mask.shape != frames.shape:
         raise DataError(

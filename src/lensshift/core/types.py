@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.arrays import frozen
 from lensshift.core.burst_checks import (
     all_valid,
+    as_array,
     as_frames,
     as_frequencies,
     as_numbers,
@@ -165,9 +166,9 @@ class Burst(Shown, AsDataset, AsTable):
 
         Parameters
         ----------
-        amplitude, distance_m, valid : [frame row col]; what `numpy.ma` masks is not valid;
-            complex amplitudes [frequency frame row col] are the phasors of several frequencies,
-            and the amplitude then that of the highest
+        amplitude, distance_m, valid : [frame row col], valid also [row col]; what `numpy.ma` masks
+            is not valid; complex amplitudes [frequency frame row col] are the phasors of several
+            frequencies, and the amplitude then that of the highest
         offset_px : [frame 2] as (row, col); None: unknown, for `register` to find
         pitch_mm : LR pixel pitch, one number or (row, col); 1 if it does not matter
         fields : any other field of `Burst`
@@ -180,11 +181,10 @@ class Burst(Shown, AsDataset, AsTable):
         Warns
         -----
         QualityWarning
-            If pitch, frequency or distances can hardly be in mm, Hz and m, or pixels are 0 where
-            nothing was measured.
+            If pitch, frequency or distances can hardly be in mm, Hz and m, or stand for none.
         """
         valid = unmasked(amplitude, distance_m) if valid is None else valid
-        given = np.asarray(amplitude)
+        given = as_array(amplitude, "amplitude")
         frequencies = as_frequencies(modulation_hz)
         if given.ndim == 4 and given.dtype.kind == "c":
             fields["phasors"] = as_phasors(given, frequencies)

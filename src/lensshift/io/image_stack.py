@@ -269,6 +269,8 @@ def _mark_unmeasured(fields: dict[str, Any]) -> None:
     finite = [np.isfinite(one) for one in stacks if one.shape == shape and one.dtype.kind in "fc"]
     measured = np.logical_and.reduce(finite) if finite else np.True_
     valid = fields.get("valid", np.ones(shape, np.bool_))
+    if valid.shape == (1, *shape[1:]):  # of the sensor
+        valid = np.broadcast_to(valid, shape)
     if len(shape) == 3 and valid.shape == shape and measured.any() and not measured.all():
         fields["valid"] = np.where(measured, valid, False)
 

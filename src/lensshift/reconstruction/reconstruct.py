@@ -340,7 +340,7 @@ def _checked(burst: Burst, scale: int, noise_sigma: float | None, *, streamed: b
     expect_burst(burst)
     if noise_sigma is not None:
         positive().check("noise_sigma", noise_sigma)
-    if isinstance(scale, bool) or scale not in range(1, 9):
+    if isinstance(scale, bool | float) or scale not in range(1, 9):
         raise ValueError(f"expected a whole scale from 1 to 8, got {scale!r}")
     return burst if streamed else without_stuck(burst, stacklevel=3)
 
