@@ -7,6 +7,7 @@ import struct
 import warnings
 import zipfile
 import zlib
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,18 @@ def test_a_mask_of_the_sensor_holds_for_all_frames(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", amplitude=frames, valid=mask)
     burst = load_image_stack(tmp_path / "a.npz", np.zeros((len(frames), 2)))
     np.testing.assert_array_equal(burst.valid, mask & np.isfinite(frames))
+
+
+def test_packed_bits_say_what_unpacks_them(tmp_path: Path) -> None:
+    """As an old camera writes 12 bits; NumPy alone does not unpack them."""
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((4, 6), np.uint16), photometric="minisblack")
+    with tifffile.TiffFile(tmp_path / "a.tif", mode="r+") as file:
+        file.pages.first.tags["BitsPerSample"].overwrite(12)
+    if find_spec("imagecodecs") is not None:
+        assert load_image_stack(tmp_path / "a.tif").amplitude.shape == (1, 4, 6)
+        return
+    with pytest.raises(DataError, match=r"12-bit .* pip install imagecodecs, or save it with 8 or"):
+        load_image_stack(tmp_path / "a.tif")
 
 
 @pytest.mark.parametrize("channel", [1, -1])

@@ -254,6 +254,11 @@ def strict_tifffile() -> Iterator[None]:
         yield
     except tifffile.TiffFileError as error:  # older versions: not a ValueError
         complaints.append(str(error))
+    except (NotImplementedError, ValueError) as error:  # as of 12 bits a pixel
+        if "imagecodecs" not in str(error):
+            raise
+        cure = "pip install imagecodecs, or save it with 8 or 16 bits, not compressed"
+        raise DataError(f"{error}: {cure}") from error
     finally:
         logger.removeHandler(handler)
         del logger.isEnabledFor
