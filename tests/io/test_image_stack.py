@@ -359,6 +359,14 @@ def test_npz_that_contradicts_itself(
     assert said in message
 
 
+def test_objects_beside_the_frames_are_left_out(tmp_path: Path) -> None:
+    about = np.array({"camera": "mine"}, dtype=object)
+    np.savez(tmp_path / "a.npz", frames=frames_of("u2"), meta=about)
+    with pytest.warns(QualityWarning, match="a.npz: meta: Python objects are not read"):
+        burst = load_image_stack(tmp_path / "a.npz")
+    np.testing.assert_array_equal(burst.amplitude, frames_of("u2"))
+
+
 def test_pickles_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     assert "Python objects" in message_of(tmp_path / "a.npy")

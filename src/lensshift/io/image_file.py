@@ -93,18 +93,34 @@ def load_frames(path: str | Path, *, colours: bool = False) -> NDArray[Any]:
 
 
 def load_named_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Read all arrays of an NPZ file; DataError if it is damaged or holds Python objects."""
+    """Read the arrays of numbers and text of an NPZ file; warn of Python objects beside them.
+
+    DataError if it is damaged or holds nothing else.
+    """
     require_file(path)
     with reading(path):
         _check_signature(path, b"PK", "an NPZ file")
         with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
             check_unpacked(unpacked_bytes(archive), Path(path).stat().st_size, "")
-            return {name: _without_pickles(archive, name) for name in archive.files}
+            found = {name: _without_pickles(archive, name) for name in archive.files}
+    arrays = {name: values for name, values in found.items() if values is not None}
+    if left := ", ".join(name for name in found if name not in arrays):
+        said = f"{left}: Python objects are not read; save arrays of numbers, text as JSON"
+        if not arrays:
+            raise DataError(said, source=path)
+        warnings.warn(f"{path}: {said}", QualityWarning, stacklevel=2)
+    return arrays
 
 
-def _without_pickles(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any]:
+def _without_pickles(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any] | None:
+    """Return an array, None for one of Python objects, which could run anything."""
     with reading("", name):
-        values = archive[name]
+        try:
+            values = archive[name]
+        except ValueError as error:
+            if "Object arrays" in str(error):
+                return None
+            raise
         if not isinstance(values, np.ndarray):
             raise DataError("expected an array", field=name)
         return values
