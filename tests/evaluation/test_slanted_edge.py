@@ -16,6 +16,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.evaluation import noise_autocovariance
 from lensshift.evaluation.slanted_edge import (
     EdgeResult,
+    Interval,
     Region,
     average_curves,
     average_interval,
@@ -290,6 +291,33 @@ def test_an_edge_that_cannot_be_used_is_not_averaged() -> None:
     np.testing.assert_array_equal(  # better than nothing
         average_curves([straight]).modulation, straight.mtf.modulation
     )
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.01, 0.1])
+def test_a_mean_of_edges_that_differ_covers(scatter: float) -> None:
+    """Softer edges have smaller errors: by these alone, shadows outweighed the edges of a chart."""
+    rng, held, count = np.random.default_rng(3), 0, 400
+    for _ in range(count):
+        value = 0.2 + scatter * rng.standard_normal(12)
+        std = np.abs(value) * rng.uniform(0.002, 0.02, 12)
+        seen = value + std * rng.standard_normal(12)
+        mean = average_interval(
+            [Interval(x, x - 1.96 * s, x + 1.96 * s) for x, s in zip(seen, std, strict=True)]
+        )
+        held += mean.low <= 0.2 <= mean.high
+    assert 0.9 <= held / count <= 0.98
+
+
+def test_a_mean_curve_of_edges_that_differ_says_so() -> None:
+    sharp = measure_edge(noisy(box_edge((30, 48)), 0.002))
+    wide = measure_edge(noisy(box_edge((30, 64), sigma_px=2.0), 0.002))
+    curve = average_curves([sharp, wide])
+    at = int(np.searchsorted(curve.frequency_lpmm, 0.2))
+    low, high = wide.mtf.modulation[at], sharp.mtf.modulation[at]
+    assert curve.modulation[at] == pytest.approx(0.5 * (low + high), rel=0.05)
+    assert curve.std is not None
+    assert curve.std[at] == pytest.approx(0.5 * (high - low), rel=0.05)
+    assert curve.modulation[0] == pytest.approx(1.0)
 
 
 def test_doubts_come_with_numbers() -> None:

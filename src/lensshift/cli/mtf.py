@@ -68,7 +68,8 @@ def mtf(current: Session, asked: _MtfOptions) -> None:
     """Measure the MTF of slanted edges, with 95 % intervals.
 
     Every edge of the image is found and measured, unless a region is given; numbers of several
-    edges are averaged with their variances, those of edges that cannot be used left out.
+    edges are averaged, those of edges that cannot be used left out. Where edges differ by more
+    than their errors, the intervals of the mean are wider (`evaluate chart` maps the field).
 
     \b
     Example:
@@ -129,7 +130,7 @@ def _tell(
     used = usable_edges(results)
     mean = _mean(used)
     if len(results) > 1:
-        current.say(f"mean of {len(used)} usable of {len(results)} edges")
+        current.say(f"mean of {len(used)} usable of {len(results)} edges{_range(used, unit)}")
         _say_numbers(current, mean, unit, length)
     curve = average_curves(results)
     frequency = curve.frequency_lpmm * unit.factor
@@ -138,6 +139,15 @@ def _tell(
     current.result["mtf"] = {"frequency": frequency, "frequency_lpmm": curve.frequency_lpmm}
     current.result["mtf"] |= {"modulation": curve.modulation, "std": curve.std}
     return curve, frequency
+
+
+def _range(results: Sequence[EdgeResult], unit: images.Unit) -> str:
+    """Return between what the MTF50 of edges lies, for people."""
+    values = [result.mtf50_lpmm.value * unit.factor for result in results]
+    known = [value for value in values if value == value]
+    if len(known) < 2:
+        return ""
+    return f", MTF50 from {min(known):.4g} to {max(known):.4g} {unit.name}"
 
 
 def say_edge(current: Session, result: EdgeResult, unit: images.Unit, length: str) -> None:

@@ -58,7 +58,7 @@ def chart_edges(
     half = 0.5 * np.hypot(rows, cols)
     edges = []
     for one in results:
-        row_px, col_px = one.region.middle_px
+        row_px, col_px = one.middle_px
         away = np.array([row_px - 0.5 * (rows - 1), col_px - 0.5 * (cols - 1)])
         radius = float(np.hypot(*away))
         along = _along(one)
@@ -109,7 +109,7 @@ def acutance(curve: MtfCurve, height_mm: float, eye_heights: float) -> float:
 def zone_rows(edges: Sequence[ChartEdge]) -> list[dict[str, Any]]:
     """Return the summary over the field: usable edges, mean, spread of each zone and direction.
 
-    The interval of `mtf50_lpmm` is that of the places' scatter; a single edge keeps its own.
+    The interval of `mtf50_lpmm` holds the scatter of the places; a single edge keeps its own.
     """
     rows = []
     for zone, low, high in ZONES:
@@ -120,7 +120,7 @@ def zone_rows(edges: Sequence[ChartEdge]) -> list[dict[str, Any]]:
                 if one.result.usable and one.direction == direction and low <= one.field < high
             ]
             if here:
-                mean = _mean_of_places(here)
+                mean = average_interval(here)
                 known = [one.value for one in here if np.isfinite(one.value)]
                 worst = min(known, default=float("nan"))  # of edges too sharp to fall to a half
                 rows.append(
@@ -128,15 +128,6 @@ def zone_rows(edges: Sequence[ChartEdge]) -> list[dict[str, Any]]:
                     | {"worst_mtf50_lpmm": worst}
                 )
     return rows
-
-
-def _mean_of_places(numbers: Sequence[Interval]) -> Interval:
-    values = np.array([one.value for one in numbers if np.isfinite(one.value)])
-    if len(values) < 2:
-        return average_interval(numbers)
-    mean = float(values.mean())
-    half = 1.96 * float(values.std(ddof=1)) / len(values) ** 0.5
-    return Interval(mean, mean - half, mean + half)
 
 
 @dataclass(frozen=True, slots=True)

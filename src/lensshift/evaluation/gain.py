@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lensshift.core.errors import warn_quality
 from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, average_interval
@@ -116,9 +115,9 @@ def pair_edges(
     pairs = []
     left = list(fine)
     for there in coarse:
-        middle_px, length_px = _middle_px(there), there.extent_px[0]
+        middle_px, length_px = np.array(there.middle_px), there.extent_px[0]
         apart = [
-            float(np.hypot(*((_middle_px(here) + 0.5) / scale - 0.5 - middle_px)))
+            float(np.hypot(*((np.array(here.middle_px) + 0.5) / scale - 0.5 - middle_px)))
             if here.orientation == there.orientation
             else np.inf
             for here in left
@@ -126,13 +125,6 @@ def pair_edges(
         if apart and min(apart) <= _MAX_APART * length_px:
             pairs.append((left.pop(int(np.argmin(apart))), there))
     return [pair for pair in pairs if pair[0].usable and pair[1].usable] or pairs
-
-
-def _middle_px(edge: EdgeResult) -> NDArray[np.float64]:
-    """Return the (row, col) of the edge halfway; its region may reach further on one side."""
-    row, col = edge.region.middle_px
-    at = edge.position_px.value
-    return np.array([row, at] if edge.orientation == "vertical" else [at, col])
 
 
 def _geometric_mean(ratios: Sequence[Interval]) -> Interval:

@@ -19,7 +19,9 @@ Matrix = NDArray[np.float64]
 _PIXEL_MTF50_CPP = 0.6033545644016142
 _INTERVAL_SIGMAS = 3.92  # of a normal distribution in its 95 % interval
 _LEAST_STD = 1e-6
+_NO_STD = 1e-100  # its square exists
 _STEPS = 50  # from 0 to the LR Nyquist frequency
+_HALVINGS = 60  # to the last digit
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,6 +194,15 @@ class EdgeResult(Shown, AsTable):
         return (rows, cols) if self.orientation == "vertical" else (cols, rows)
 
     @property
+    def middle_px(self) -> tuple[float, float]:
+        """Row and column of the edge halfway; its region may reach farther on one side."""
+        row_px, col_px = self.region.middle_px
+        at_px = self.position_px.value
+        if not np.isfinite(at_px):  # a method that does not tell it
+            return row_px, col_px
+        return (row_px, at_px) if self.orientation == "vertical" else (at_px, col_px)
+
+    @property
     def contrast(self) -> float:
         """Michelson contrast of the edge."""
         total = self.bright + self.dark
@@ -260,6 +271,8 @@ def usable_edges(results: Sequence[EdgeResult]) -> list[EdgeResult]:
 def average_curves(results: Sequence[EdgeResult]) -> MtfCurve:
     """Return the mean curve; edges count by their mean variance, so that the mean stays an MTF.
 
+    Where edges differ by more than their errors, what they differ by is a part of each variance.
+
     Parameters
     ----------
     results : edges, of which `usable_edges` are taken; curves at other frequencies than the first
@@ -273,19 +286,24 @@ def average_curves(results: Sequence[EdgeResult]) -> MtfCurve:
         [np.interp(frequency_lpmm, one.mtf.frequency_lpmm, one.mtf.modulation) for one in results]
     )
     label = f"mean of {len(results)} slanted edges"
-    stds = [result.mtf.std for result in results]
-    known = [std for std in stds if std is not None]
-    if len(known) < len(stds):
+    known = [
+        np.interp(frequency_lpmm, one.mtf.frequency_lpmm, one.mtf.std)
+        for one in results
+        if one.mtf.std is not None
+    ]
+    if len(known) < len(results):
         return MtfCurve(frequency_lpmm, values.mean(axis=0), None, label)
-    weights = np.array([1.0 / (np.mean(std**2) + _LEAST_STD**2) for std in known])
+    variances = _with_scatter(values, np.stack(known) ** 2 + _LEAST_STD**2)
+    weights = 1.0 / variances.mean(axis=1)
     weights /= weights.sum()
-    std = np.sqrt(np.sum((weights[:, None] * np.stack(known)) ** 2, axis=0))
+    std = np.sqrt(weights**2 @ variances)
     return MtfCurve(frequency_lpmm, weights @ values, std, label)
 
 
 def average_interval(numbers: Sequence[Interval]) -> Interval:
-    """Return the mean of independent measurements of one quantity with its 95 % interval.
+    """Return the mean of independent measurements with its 95 % interval.
 
+    Where they differ by more than their errors, as over the field of a lens, that counts as well.
     Those that were not reached or have no interval are left out; if none has an interval, the
     plain mean is returned.
 
@@ -301,7 +319,26 @@ def average_interval(numbers: Sequence[Interval]) -> Interval:
         return Interval(float(np.mean([one.value for one in reached])))
     values = np.array([one.value for one in whole])
     std = np.array([(one.high - one.low) / _INTERVAL_SIGMAS for one in whole])
-    weights = 1.0 / np.maximum(std, 1e-12 * np.abs(values) + np.finfo(float).tiny) ** 2
+    std = np.maximum(std, 1e-12 * np.abs(values) + _NO_STD)
+    weights = 1.0 / _with_scatter(values, std**2)
     mean = float(np.sum(weights * values) / np.sum(weights))
     half = 0.5 * _INTERVAL_SIGMAS / float(np.sqrt(np.sum(weights)))
     return Interval(mean, mean - half, mean + half)
+
+
+def _with_scatter(values: Matrix, variances: Matrix) -> Matrix:
+    """Return the variances of values [k ...] with that by which the quantities themselves differ.
+
+        sum over k of (x_k - mean)^2 / (s_k^2 + t^2) = count - 1,   t = 0 if it is less even so
+
+    Source: Paule and Mandel, J. Res. Natl. Bur. Stand. 87 (1982) 377.
+    """
+    least = np.zeros_like(values[0])
+    most = np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (least + most)
+        weights = 1.0 / (variances + middle)
+        rest = values - np.sum(weights * values, axis=0) / np.sum(weights, axis=0)
+        more = np.sum(weights * rest**2, axis=0) > len(values) - 1
+        least, most = np.where(more, middle, least), np.where(more, most, middle)
+    return np.asarray(variances + most)
