@@ -229,3 +229,13 @@ def test_a_stored_edge_is_drawn_at_its_place(reference_dir: Path) -> None:
         for row in (2, 13):  # where the line of the figure crosses a row, its grey is half way
             col = np.interp(row, rows, cols)
             assert np.interp(col, np.arange(64), image[row]) == pytest.approx(half, rel=0.35)
+
+
+def test_many_edges_are_one_mean(result: EdgeResult) -> None:
+    """A legend of a hundred edges left no place for curves."""
+    axes = axes_titled(edge_figure([result] * 30), CURVES)
+    legend = axes.get_legend()
+    assert legend is not None
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert labels[0] == "mean of 30 slanted edges"
+    assert len(labels) == 3

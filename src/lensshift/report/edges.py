@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from lensshift.core.arrays import Floats
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.gain import ResolutionGain, ratio_of
-from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, average_curves
 from lensshift.report import curves, images, style
 
 _CURVES_IN, _IMAGE_IN, _LABELS_IN = 3.6, 4.0, 0.8  # heights
@@ -26,6 +26,7 @@ _PROFILE_PX = 4.0  # shown on either side of an edge, at least
 _PROFILE_WIDTHS = 2.0  # or so many 10-90 widths
 _LEAST_MODULATION = 0.05  # below it a ratio of two curves says nothing
 _MOST_RATIO = 6.0  # on the axis
+_MOST_NAMED = 6  # edges in a legend
 _SAME_NYQUIST = 1.2  # of the pixels over that of LR pixels; the slant alone makes up to 1.1
 
 
@@ -167,10 +168,13 @@ def _draw_curves(
     pitch_mm: float | tuple[float, float] | None,
     limits: Sequence[MtfCurve],
 ) -> None:
-    for number, result in enumerate(results):
-        name = _mtf50(result, unit, factor)
-        label = f"edge, {name}" if len(results) == 1 else f"edge {number + 1}, {name}"
-        _draw_result(axes, result, style.colour_of(number), label, factor)
+    if len(results) > _MOST_NAMED:
+        _draw_crowd(axes, results, factor)
+    else:
+        for number, result in enumerate(results):
+            name = _mtf50(result, unit, factor)
+            label = f"edge, {name}" if len(results) == 1 else f"edge {number + 1}, {name}"
+            _draw_result(axes, result, style.colour_of(number), label, factor)
     highest_lpmm = _highest_lpmm(results)
     _draw_limits(axes, results[0], highest_lpmm, factor, pitch_mm)
     curves.draw_limits(axes, limits, highest_lpmm, factor)
@@ -178,6 +182,16 @@ def _draw_curves(
     ending = ", with 95 % band" if band else f" ({results[0].method})"
     title = f"MTF along the normal of the edge{ending}"
     curves.finish_mtf_axes(axes, highest_lpmm * factor, unit, title)
+
+
+def _draw_crowd(axes: Axes, results: Sequence[EdgeResult], factor: float) -> None:
+    """Draw so many edges that no legend names them as thin lines about their mean."""
+    for number, result in enumerate(results):
+        curve = result.mtf
+        frequency, colour = curve.frequency_lpmm * factor, style.colour_of(number)
+        axes.plot(frequency, curve.modulation, color=colour, linewidth=0.6, alpha=0.6)
+    mean = average_curves(results)
+    curves.draw_curve(axes, mean, style.INK, mean.label, factor=factor)
 
 
 def _draw_result(axes: Axes, result: EdgeResult, colour: str, label: str, factor: float) -> None:
@@ -217,7 +231,7 @@ def _draw_profiles(axes: Axes, results: Sequence[EdgeResult]) -> None:
     for number, result in enumerate(results):
         place_px, value, std = result.esf.normal_px, result.esf.value, result.esf.std
         colour = style.colour_of(number)
-        if std is not None:
+        if std is not None and len(results) <= _MOST_NAMED:
             half = curves.INTERVAL_SIGMAS * std
             ends = (value - half, value + half)
             axes.fill_between(place_px, *ends, color=colour, alpha=style.BAND_ALPHA, linewidth=0.0)
