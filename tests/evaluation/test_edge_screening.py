@@ -1,5 +1,6 @@
 """What does not belong to an edge: hot pixels, second edges, mere noise, grey levels."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -50,6 +51,26 @@ def test_pixels_that_stand_out_do_not_move_the_result(out: Image, level: float) 
     half_width = 0.5 * (clean.high - clean.low)
     assert abs(found.mtf50_lpmm.value - clean.value) < 0.3 * half_width
     assert found.mtf50_lpmm.high - found.mtf50_lpmm.low < 2.6 * half_width
+
+
+@pytest.mark.parametrize("columns", [[22, 35], [0, 50], [33, 34]])
+@pytest.mark.parametrize("level", [0.0, 1.3])
+def test_dead_columns_do_not_move_the_result(columns: list[int], level: float) -> None:
+    """They are more than chance explains; MTF50 was up to 170 % off, or a second edge was seen."""
+    image = noisy(step(0.3), 0.01)
+    spoiled = image.copy()
+    spoiled[:, columns] = level
+    clean = measure_edge(image).mtf50_lpmm
+    with pytest.warns(QualityWarning, match=f"{2 * SHAPE[0]} pixels stand out"):
+        found = measure_edge(spoiled, region=(0, SHAPE[0], 0, SHAPE[1]))
+    assert found.usable
+    assert abs(found.mtf50_lpmm.value - clean.value) < 0.5 * (clean.high - clean.low)
+
+
+def test_plateaus_without_noise_are_no_dead_columns() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert measure_edge(100.0 + np.rint(4000.0 * step(0.3))).usable
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,11 @@ class Pixels:
     col_px: Vector
     values: Vector  # [n]
 
+    def without(self, out: Mask) -> Pixels:
+        """Return the pixels but those out [n]."""
+        left = self.places, self.row_px, self.col_px, self.values
+        return Pixels(*(one[~out] for one in left))
+
 
 @dataclass(frozen=True)
 class UprightEdge:
@@ -86,11 +91,9 @@ class UprightEdge:
 
     def without(self, out: Mask) -> UprightEdge:
         """Return the edge of the pixels but those out [n]."""
-        left = self.pixels
-        kept = Pixels(left.places[~out], left.row_px[~out], left.col_px[~out], left.values[~out])
         return replace(
             self,
-            pixels=kept,
+            pixels=self.pixels.without(out),
             across_px=self.across_px[~out],
             along_px=self.along_px[~out],
             scaled=self.scaled[~out],

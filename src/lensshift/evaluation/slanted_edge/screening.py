@@ -13,6 +13,7 @@ from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.prepare import Pixels, UprightEdge, turn_upright
 from lensshift.evaluation.steps import OF_NORMAL
 
+_LEAST_RISES = 3  # between the levels of a line that noise or an edge varies
 _STANDS_OUT = 6.0  # deviations; of 1e6 pixels of normal noise, none does
 _MOST_PASSES = 6
 _MOST_OUT = 0.05  # of the pixels; what is more frequent is no exception
@@ -32,6 +33,8 @@ def screened(pixels: Pixels, aperture_px: float, most_bends: int) -> tuple[Uprig
     of the pixels that lie as far from the edge. Raises `ValueError` if there is no edge, or a
     second one.
     """
+    dead = _dead_lines(pixels)
+    pixels = pixels.without(dead)
     none = np.zeros(pixels.values.size, dtype=bool)
     edge, out = _told_apart(pixels, aperture_px, most_bends, none)
     if out.any() and most_bends:
@@ -41,7 +44,32 @@ def screened(pixels: Pixels, aperture_px: float, most_bends: int) -> tuple[Uprig
         edge, out = min((edge, out), other, key=lambda one: _left_over(*one))
     edge = edge.without(out)
     _refuse_others(edge)
-    return edge, int(out.sum())
+    return edge, int(dead.sum() + out.sum())
+
+
+def _dead_lines(pixels: Pixels) -> Mask:
+    """Return the pixels of rows and columns that hold one value, between others that do not.
+
+    They may be more than pixels that stand out by chance ever are, and lie along the edge. Several
+    at a border are a plateau without noise.
+    """
+    frame, row, col = pixels.places.T
+    dead = np.zeros(frame.size, dtype=bool)
+    for line in (row, col):
+        number = frame * (line.max() + 2) + line + 1  # a free one on either side of a frame
+        order = np.lexsort((pixels.values, number))
+        own, levels = number[order], pixels.values[order]
+        rises = (np.diff(own) == 0) & (np.diff(levels) > 0.0)
+        count = np.bincount(own[1:][rises], minlength=number.max() + 2)
+        known = np.bincount(own, minlength=count.size) > 0
+        runs, _ = ndimage.label(known & (count == 0))
+        for (run,) in ndimage.find_objects(runs):
+            beside = np.array([run.start - 1, run.stop])
+            if run.stop - run.start == 1:
+                beside = beside[known[beside]]
+            if np.all(count[beside] >= _LEAST_RISES) and beside.size:
+                dead |= (number >= run.start) & (number < run.stop)
+    return dead
 
 
 def _told_apart(
