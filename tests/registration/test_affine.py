@@ -124,6 +124,18 @@ def square(top: Frames, left: Frames, side: float) -> Frames:
     return along[0][:, :, None] * along[1][:, None, :]
 
 
+@pytest.mark.parametrize("seed", [3, 10, 40])
+def test_noise_turns_no_frame(seed: int) -> None:
+    """Where frames tell nothing of turns the search follows the noise, on and on."""
+    offset_px, _ = motion(9, seed, 0.0)
+    rng = np.random.default_rng(seed)
+    still = square(4.3 + offset_px[:, 0], 5.2 + offset_px[:, 1], 9.0)
+    other = square(18.1 + offset_px[:, 0], 22.6 + offset_px[:, 1], 7.0)
+    frames = still + other + rng.normal(scale=0.2, size=still.shape)
+    start_px = offset_px + rng.normal(scale=0.05, size=offset_px.shape)
+    assert turning(frames, np.ones(frames.shape, np.bool_), start_px - start_px[0]) is None
+
+
 @pytest.mark.parametrize("seed", [12, 13])
 def test_a_square_that_moves_beside_one_that_does_not_turns_no_frame(seed: int) -> None:
     """Six numbers a frame would explain both, but only the moved one gains by it."""

@@ -113,6 +113,8 @@ def turning(frames: Array, valid: Mask, offset_px: Shifts, reference: int = 0) -
         return None
     shifted = alternate(seen, known, px[..., None], reference)
     turned = alternate(seen, known, _padded(shifted.place_px), reference, ROUNDS)
+    if not turned.settled:  # noise leads it on, and it follows
+        return None
     gain = np.subtract(*(_quarter_errors(seen, known, fit) for fit in (shifted, turned)))
     elsewhere = np.delete(gain, np.argmax(gain.mean(axis=0)), axis=1)
     error = np.std(elsewhere, ddof=1) / np.sqrt(elsewhere.size)

@@ -42,8 +42,8 @@ class Pixels:
 
     def without(self, out: Mask) -> Pixels:
         """Return the pixels but those out [n]."""
-        left = self.places, self.row_px, self.col_px, self.values
-        return Pixels(*(one[~out] for one in left))
+        kept = ~out
+        return Pixels(self.places[kept], self.row_px[kept], self.col_px[kept], self.values[kept])
 
 
 @dataclass(frozen=True)
