@@ -210,6 +210,23 @@ def test_spokes_are_not_taken_for_shifts_by_many(seed: int) -> None:
     assert np.abs(found_px - (true_px - true_px[0])).max() < 0.5
 
 
+@pytest.mark.parametrize("seed", [1, 11, 19, 31])
+def test_of_stars_that_frames_share_in_part_the_shift_is_found(seed: int) -> None:
+    """A quarter of the rows leaves the frame; the highest peak lay up to 13 px elsewhere."""
+    rng, shift_px = np.random.default_rng(seed), np.array([-3.8, -4.5])
+    place_px, light = rng.uniform((-8, -8), (24, 72), (160, 2))[:60], rng.exponential(1.0, 60)
+    row, col = np.arange(16.0)[:, None], np.arange(64.0)
+    frames = [
+        sum(
+            size * np.exp(-((row - r) ** 2 + (col - c) ** 2) / 0.72)
+            for (r, c), size in zip(place_px + moved_px, light, strict=True)
+        )
+        + 0.02 * rng.standard_normal((16, 64))
+        for moved_px in (np.zeros(2), shift_px)
+    ]
+    np.testing.assert_allclose(phase_correlation(*frames), shift_px, atol=0.3)
+
+
 def test_texture_is_not_taken_for_a_pattern_that_repeats() -> None:
     """A peak at half the height of the correlation is none where the frames are not alike."""
     rng = np.random.default_rng(4)

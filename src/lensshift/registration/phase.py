@@ -40,8 +40,9 @@ def phase_correlation(reference: Array, frame: Array) -> Shifts:
     The peak of the whitened cross power spectrum gives whole pixels and, on a padded transform,
     about a tenth of one; a weighted plane through the phases of the low frequencies, with the
     frames cut to what both see, gives the rest. Both steps use only frequencies that the pixels
-    do not alias much, or all of them where the frames are unlike at the shift that these tell. No
-    shift beyond a pixel is taken where frames that hardly moved are clearly more alike.
+    do not alias much. Where the frames are unlike at the shift that these tell, other peaks are
+    asked, and all frequencies. No shift beyond a pixel is taken where frames that hardly moved are
+    clearly more alike.
 
     Parameters
     ----------
@@ -59,7 +60,7 @@ def phase_correlation(reference: Array, frame: Array) -> Shifts:
             f"expected two frames of one shape, 4 x 4 or more, got {reference.shape} and "
             f"{frame.shape}"
         )
-    low, whole = BANDS_CYCLES_PER_PX
+    low = BANDS_CYCLES_PER_PX[0]
     peak_px = _peak(_score(reference, frame, low))
     found_px = _refined(reference, frame, peak_px, low)
     left = _misfit(reference, frame, found_px)
@@ -71,7 +72,15 @@ def phase_correlation(reference: Array, frame: Array) -> Shifts:
             found_px, left = rest_px, at_rest
     if left < _UNLIKE:
         return found_px
-    other_px = _refined(reference, frame, _peak(_score(reference, frame, whole)), whole)
+    # Where frames share little of what they see, its peak is not the highest.
+    peaks = [
+        (_at_peak(score, peak), band)
+        for band in BANDS_CYCLES_PER_PX
+        for score in [_score(reference, frame, band)]
+        for peak in _peaks(score)
+    ]
+    peak_px, band = min(peaks, key=lambda one: _misfit(reference, frame, one[0]))
+    other_px = _refined(reference, frame, peak_px, band)
     clearly = _misfit(reference, frame, other_px) < _CLEARLY_BETTER * left
     return other_px if clearly else found_px
 
