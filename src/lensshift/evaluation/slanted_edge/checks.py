@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Vector
+from lensshift.evaluation.slanted_edge.noise_model import NOISELESS
 from lensshift.evaluation.slanted_edge.result import EdgeResult
 
 _LEAST_CONTRAST = 0.2
@@ -25,8 +26,9 @@ _LEAST_LINES = 8
 _LARGEST_RISE = 0.5  # of the extent of the region across the edge
 _FEWEST_LEVELS = 4
 _MOST_UNSEEN = 0.1  # of the contrast: by how much a level may lie beyond all pixels
+_MOST_LEFT_OUT = 0.2  # of the pixels: of three areas that meet, two edges remain
 _FEWEST_BITS = 8
-_NO_NOISE = 1e-9  # of the contrast
+_NO_NOISE = 1e-6  # of the contrast: rounding to 16 bits alone is 4e-6
 
 
 def doubted(
@@ -72,6 +74,12 @@ def doubted(
         found.append(
             f"the edge moves by {apart_px:.2f} px rms from frame to frame beside the offsets: are "
             "these right, and of the right sign?"
+        )
+    share = out / max(out + values.size, 1)
+    if share > _MOST_LEFT_OUT:
+        found.append(
+            f"{100 * share:.0f} % of the pixels belong to something else than this edge; choose a "
+            "region around it alone"
         )
     usable = not found
     if out:
@@ -145,7 +153,8 @@ def _clipping(values: Vector, result: EdgeResult) -> list[str]:
         if levels.size < 4:  # no noise to be cut off
             continue
         outer, step = levels[end], abs(levels[end + inwards] - levels[end])
-        coarse = result.noise * (result.bright - result.dark) < step
+        # What the model errs by passes for noise of a computed image.
+        coarse = result.noise < max(step / (result.bright - result.dark), NOISELESS)
         if coarse and not _ends_a_range(float(outer)):
             continue
         share, more = counts[end] / side.size, int(counts[end]) - int(counts[end + inwards])
