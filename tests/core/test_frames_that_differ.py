@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lensshift.core.defects import colour_mosaic, unequal_brightness
+from lensshift.core.defects import colour_mosaic, repeated_frame, unequal_brightness
 
 
 def _frames(seed: int = 0, shape: tuple[int, int] = (40, 52)) -> NDArray[np.float64]:
@@ -49,3 +49,11 @@ def test_another_exposure_is_told_with_its_frame() -> None:
     valid = np.ones(frames.shape, np.bool_)
     valid[2, 3:] = False  # of which too little is left to compare
     assert unequal_brightness(frames, valid) == ""
+
+
+def test_a_frame_that_was_handed_out_twice_is_named() -> None:
+    frames = np.random.default_rng(1).normal(size=(5, 6, 7))
+    assert repeated_frame(frames) == ""
+    frames[3] = frames[1]
+    assert repeated_frame(frames).startswith("frame 3 is a copy of frame 1, noise and all")
+    assert repeated_frame(np.zeros((3, 6, 7))) == ""  # blank, not copied

@@ -98,6 +98,19 @@ def doubts_about_frames(
     return [text for text in said if text]
 
 
+def repeated_frame(frames: Array) -> str:
+    """Say that a frame [frame row col] is another one bit by bit, noise and all; or ""."""
+    first: dict[int, int] = {}
+    for number, frame in enumerate(frames):
+        before = first.setdefault(hash(frame.tobytes()), number)
+        if before < number and np.ptp(frame.real) > 0:
+            return (
+                f"frame {number} is a copy of frame {before}, noise and all: it tells nothing new, "
+                "and its shift is that of the other one. Was it handed out twice?"
+            )
+    return ""
+
+
 def unequal_brightness(frames: Array, valid: Mask | None = None) -> str:
     """Say that the brightness of frames of one still scene differs, as by exposure; or "".
 

@@ -12,7 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
-from lensshift.core.defects import blank_frames, doubts_about_frames, stuck_pixels
+from lensshift.core.defects import (
+    blank_frames,
+    doubts_about_frames,
+    repeated_frame,
+    stuck_pixels,
+)
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, expect_burst
 from lensshift.registration.affine import affine_motion, turning
@@ -107,9 +112,11 @@ def register(
         reference = int(np.searchsorted(kept, reference)) % len(kept)
     stuck = None if np.iscomplexobj(frames) else stuck_pixels(frames, burst.valid)
     valid = burst.valid if stuck is None else burst.valid & ~stuck
+    doubts = [repeated_frame(frames)]
     if channel == "amplitude":
-        for said in doubts_about_frames(frames, valid, photometric=photometric):
-            warnings.warn(said, QualityWarning, stacklevel=2)
+        doubts += doubts_about_frames(frames, valid, photometric=photometric)
+    for said in filter(None, doubts):
+        warnings.warn(said, QualityWarning, stacklevel=2)
     frames /= np.max(np.abs(frames), where=valid, initial=0.0) or 1.0  # their squares exist
     whole = filled(frames, valid)
     given_px = burst.offset_px - burst.offset_px[reference]

@@ -45,7 +45,7 @@ def doubted(
     make an edge unusable; what its profile shows may be true of the whole image. `out` pixels stand
     out and were left out; from frame to frame the edge moves by `apart_px` beside the offsets.
     """
-    found = _shape(values, result)
+    found = _shape(values, result, out)
     if result.dark + result.bright <= 0.0:
         found.append(
             f"the levels of the edge, {result.dark:.3g} and {result.bright:.3g}, are not positive: "
@@ -75,12 +75,6 @@ def doubted(
             f"the edge moves by {apart_px:.2f} px rms from frame to frame beside the offsets: are "
             "these right, and of the right sign?"
         )
-    share = out / max(out + values.size, 1)
-    if share > _MOST_LEFT_OUT:
-        found.append(
-            f"{100 * share:.0f} % of the pixels belong to something else than this edge; choose a "
-            "region around it alone"
-        )
     usable = not found
     if out:
         found.append(f"{out} pixels stand out (hot, dead, dusty, of a corner) and are left out")
@@ -100,9 +94,15 @@ def doubted(
     return replace(result, notes=tuple(found), usable=usable)
 
 
-def _shape(values: Vector, result: EdgeResult) -> list[str]:
-    """Of black and white alone, or without plateaus, a profile is the model's own."""
+def _shape(values: Vector, result: EdgeResult, out: int) -> list[str]:
+    """Of black and white alone, without plateaus or among others a profile is the model's own."""
     found = []
+    share = out / max(out + values.size, 1)
+    if share > _MOST_LEFT_OUT:
+        found.append(
+            f"{100 * share:.0f} % of the pixels belong to something else than this edge; choose a "
+            "region around it alone"
+        )
     count = np.unique(values).size
     if count < _FEWEST_LEVELS:
         found.append(f"the pixels have {count} levels only: the profile of the edge is lost")
