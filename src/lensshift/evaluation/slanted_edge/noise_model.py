@@ -104,14 +104,14 @@ class Rounding:
     """What whole numbers do to pixels whose noise is too small to dither them."""
 
     sigma: float  # of a single pixel; 0 where values are not whole numbers of a step
-    alike: Vector  # [n] how many pixels have the value of each
+    alike: Vector  # [n] how many pixels see the light of each, to a step
 
     def shared(self, sigma: Vector) -> Vector:
         """Return [n]: the variance by which to raise that of pixels of deviation `sigma` [n].
 
             m s^2 / 12 exp(-4 pi^2 v / s^2),   s the step, v the variance of noise before rounding
 
-        All m pixels that are rounded to one value are off by the same: together they count as one.
+        All m pixels that see the same light are off by the same: together they count as one.
         Noise of half a step takes that error away (the factor is the square of the first harmonic).
 
         Source: Widrow and Kollar, Quantization Noise, 2008, of the characteristic function.
@@ -122,14 +122,21 @@ class Rounding:
         return np.asarray(self.alike * self.sigma**2 * np.exp(-(np.pi**2) / 3.0 * before))
 
 
-def rounding_of(values: Vector) -> Rounding:
-    """Return how values [n] are rounded."""
-    levels, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+def rounding_of(values: Vector, smooth: Vector) -> Rounding:
+    """Return how values [n] are rounded, of pixels that see about the light `smooth` [n].
+
+    They are alike by what they see: were it by what they were rounded to, the rarer one of two
+    numbers on a plateau would count as much as the other one.
+    """
+    levels = np.unique(values)
     steps = np.diff(levels)
     step = float(np.min(steps, initial=np.inf))
     whole = np.isfinite(step) and np.all(np.abs(steps / step - np.rint(steps / step)) < _WHOLE)
-    sigma = step / np.sqrt(12.0) if whole and levels.size > 2 else 0.0
-    return Rounding(float(sigma), counts[which].astype(np.float64))
+    if not whole or levels.size <= 2:
+        return Rounding(0.0, np.zeros_like(values))
+    rising = np.sort(smooth)
+    ends = (np.searchsorted(rising, smooth + side * step) for side in (0.5, -0.5))
+    return Rounding(step / np.sqrt(12.0), np.maximum(np.subtract(*ends), 1).astype(np.float64))
 
 
 def plateau_tilt_matters(

@@ -75,7 +75,7 @@ class UprightEdge:
     @cached_property
     def rounding(self) -> noise_model.Rounding:
         """How the pixels are rounded."""
-        return noise_model.rounding_of(self.scaled)
+        return noise_model.rounding_of(self.scaled, self.free_response.of(self.scaled)[0])
 
     @cached_property
     def basis(self) -> SplineBasis:
