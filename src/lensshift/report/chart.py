@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 _MOST_HIGH_IN = 8.0  # of a screen
 _COLOURS = dict(zip(DIRECTIONS, (BLUE, RED), strict=True))
 _STYLES = dict(zip(DIRECTIONS, ("-", "--"), strict=True))
+_WIDE = 2.0  # columns per row: two maps of such images lie above each other
+_ROOM = 1.1  # above the highest point
 _BINS = 6  # of the image height, for the line through the points
 _BAR = 0.03  # half the length of an edge's bar over the diagonal
 
@@ -76,8 +78,8 @@ def field_figure(
     known = [one for one in edges if one.result.usable]
     values = np.array([one.result.mtf50_lpmm.value * factor for one in known])
     low, high = (float(one) for one in np.nanpercentile(values, (0, 100)))
-    beside = rows > cols
-    high_in = _height_in((rows, cols // 2) if beside else (2 * rows, cols))
+    beside = cols < _WIDE * rows
+    high_in = _height_in((rows, 2 * cols) if beside else (2 * rows, cols))
     figure = new_figure(WIDTH_IN, high_in)
     panels = figure.subplots(1 if beside else 2, 2 if beside else 1, squeeze=False).ravel()
     for axes, direction in zip(panels, DIRECTIONS, strict=True):
@@ -104,7 +106,7 @@ def height_figure(edges: Sequence[ChartEdge], unit: str, factor: float = 1.0) ->
         if here:
             _draw_heights(axes, here, direction, factor)
     axes.set(xlim=(0.0, 1.0), xlabel="distance from the middle over half the diagonal")
-    axes.set(ylabel=f"MTF50 ({unit})", ylim=(0.0, None))
+    axes.set(ylabel=f"MTF50 ({unit})", ylim=(0.0, _ROOM * axes.get_ylim()[1]))
     axes.legend(loc="lower left")
     return figure
 
@@ -131,7 +133,7 @@ def focus_figure(
         if zone in fits:
             axes.axvline(fits[zone].focus, color=line.get_color(), linewidth=0.9, ls=":")
     axes.set(xlabel=label, ylabel=f"MTF50 ({unit})")
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(0.0, _ROOM * axes.get_ylim()[1])
     axes.legend(loc="lower left")
     return figure
 
