@@ -143,7 +143,7 @@ def field_sr(grid: Grid, focal_mm: float) -> float:
 def test_a_ball_lights_itself_evenly() -> None:
     """In the middle of a ball every point gets rho * lit share of the directions besides."""
     grid = Grid((5, 7), (0.5, 0.5))
-    camera = make_camera(grid, optics=PlainOptics(1.5, 2.0), illumination=Illumination((1e5,)))
+    camera = make_camera(grid, optics=PlainOptics(1.5, 2.0), illumination=Illumination((2e5,)))
     ball = Scene((Sphere(centre_m=(0.0, 0.0, 0.0), radius_m=2.0, reflectance=0.6),))
     direct = still(ball, camera).burst.amplitude
     multipath = Multipath((24, 30), shadows=False)

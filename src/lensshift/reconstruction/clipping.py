@@ -131,8 +131,7 @@ def without_blank(burst: Burst, used: Sequence[int], *, stacklevel: int = 2) -> 
         QualityWarning,
         stacklevel=stacklevel + 1,
     )
-    valid = np.ones(burst.amplitude.shape, np.bool_) if burst.valid is None else burst.valid
-    return replace(burst, valid=valid & ~blank[:, None, None])
+    return replace(burst, valid=burst.valid & ~blank[:, None, None])
 
 
 def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:
