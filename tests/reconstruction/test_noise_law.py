@@ -295,3 +295,19 @@ def test_so_many_times_the_noise_has_the_square_of_it_as_variance_at_any_light()
     law, light = NoiseLaw(0.3, 0.04, 0.1, 0.1, 0.9), np.linspace(0.0, 1.0, 7)
     np.testing.assert_allclose(law.times(0.6).variance(light), 0.36 * law.variance(light))
     assert law.times(0.6).sigma == pytest.approx(0.18)
+
+
+@pytest.mark.parametrize("unit", [1.0, 250.0])
+def test_told_noise_that_the_frames_do_not_show_is_questioned(unit: float) -> None:
+    y = unit * (photograph(edge_scene, SHAPE, SQUARE_PX) + 0.02 * _white(6))
+    burst = Burst.from_arrays(y, offset_px=SQUARE_PX, pitch_mm=0.1)
+    for told in (0.01, 0.02, 0.05):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            reconstruct(burst, noise_sigma=unit * told, std=False)
+    for told in (0.001, 0.3):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            reconstruct(burst, noise_sigma=unit * told, std=False)
+        assert f"noise_sigma {unit * told:.3g} is not what" in str(said[0].message)
+        assert said[0].filename == __file__

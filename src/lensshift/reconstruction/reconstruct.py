@@ -17,6 +17,7 @@ from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
 from lensshift.reconstruction.clipping import overexposed, without_blank, without_stuck
 from lensshift.reconstruction.devices import Device, on_device
+from lensshift.reconstruction.learned.noise import doubt_about_noise
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.misfit import ESTIMATED, NOT_ENOUGH
@@ -186,7 +187,9 @@ def _estimates(
             take_level=chosen.take_level and not request.non_negative,
             intensity=chosen.intensity, **seen,
         )  # fmt: skip
-        if (said := overexposed(values, problem.clipped)) and not (request.streamed or found):
+        doubts = [overexposed(values, problem.clipped)]
+        doubts += [doubt_about_noise(problem)] if chosen.name == "auto" else []
+        for said in filter(None, [] if request.streamed or found else doubts):
             warnings.warn(said, QualityWarning, stacklevel=3)
         if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
             problem = problem.with_brightness(part.amplitude)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,6 +26,8 @@ MOST_DIFFERENT, FEWEST_LEVELS = 4, 12
 MOST_PIXELS = 2048
 # Of the error of rounding, so many that the rest is 1 % of its variance.
 HARMONICS = np.arange(1, 61)
+# Noise that is read beside fine detail may be three times the truth (the worst of 232 cases).
+UNLIKE = 5.0
 # Fewer frames show no frequency that a scene hardly reaches.
 LEAST_FRAMES = 3
 
@@ -50,6 +53,21 @@ def noise_map(problem: Problem, known: NoiseLaw | None = None) -> tuple[NoiseLaw
     variance = np.maximum(law.variance(light_of(problem.y, used)), least**2)
     variance = variance / np.where(used, problem.weight, 1.0)
     return law, least, np.where(used, np.sqrt(variance), np.inf)
+
+
+def doubt_about_noise(problem: Problem) -> str | None:
+    """Say that the frames show another noise than was told, if they surely do."""
+    if problem.noise_sigma is None or not problem.even_noise:
+        return None
+    law = _estimated_noise(replace(problem, noise_sigma=None))
+    ratio = problem.noise_sigma / max(law.sigma, LEAST_SIGMA)
+    if 1 / UNLIKE < ratio < UNLIKE or (ratio < 1.0 and law.ceiling):
+        return None
+    told, shown = (sigma * problem.intensity for sigma in (problem.noise_sigma, law.sigma))
+    return (
+        f"noise_sigma {told:.3g} is not what the frames show, which is {shown:.3g}: it is the "
+        "deviation of a pixel in units of the frames; leave it out to have it read"
+    )
 
 
 def rounded_std(problem: Problem, law: NoiseLaw) -> float:
