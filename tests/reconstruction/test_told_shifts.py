@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -124,3 +125,16 @@ def test_frames_that_are_not_used_keep_their_shifts() -> None:
     np.testing.assert_array_equal(
         found.amplitude.predict(4), found.amplitude.predict(tuple(burst.offset_px[4]))
     )
+
+
+@pytest.mark.parametrize("channel", ["phasor", "distance"])
+def test_light_that_mixes_to_nothing_mends_no_shift(reference_dir: Path, channel: str) -> None:
+    """Of surfaces nearly half a turn apart amplitudes fall at edges, and are no means there."""
+    with np.load(reference_dir / "irwsr" / "tofphasor_x2_4f_input.npz") as data:
+        z, offset_px = np.moveaxis(data["LR"], -1, 0), -data["shifts"][:, ::-1]
+    distance_m = np.angle(z) % (2 * np.pi) * 1.25 / (2 * np.pi)
+    burst = make_burst(np.abs(z), offset_px, distance_m=distance_m, modulation_hz=119.9e6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = reconstruct(burst, channel=channel, std=False)
+    assert "corrected_offset_px" not in found.settings

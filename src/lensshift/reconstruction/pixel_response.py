@@ -131,7 +131,7 @@ def _questioned(
     """
     if part.distance_m is None or channel == "phasor":
         found, request = _found(part, channel, request, seen)
-    elif _has_phasors(part):  # An amplitude of two distances is no mean of theirs.
+    elif has_phasors(part):  # An amplitude of two distances is no mean of theirs.
         light = dict(seen) | {"noise_sigma": None, "pixel_variance": None}
         found, _ = _found(part, "phasor", request, light)
     else:
@@ -160,7 +160,7 @@ def _found(
     part: Burst, channel: str, request: Request, seen: Mapping[str, Any]
 ) -> tuple[Response, Request]:
     """Return what the frames show, and their noise."""
-    values, small = _averaged(part, channel), min(part.grid.shape) < LEAST_SIDE_PX
+    values, small = averaged(part, channel), min(part.grid.shape) < LEAST_SIDE_PX
     if small or request.shifts_doubted or _for_people(values):
         return Response(NOMINAL_BLUR_PX, np.inf), request
     found, law = _read(part, values, channel, seen)
@@ -195,7 +195,7 @@ def _for_people(values: Array) -> bool:
     return bool(different <= BYTES and different < ALL_DIFFER * some.size)
 
 
-def _has_phasors(part: Burst) -> bool:
+def has_phasors(part: Burst) -> bool:
     """Tell whether the phasors of frames with distances are known, or follow from these."""
     if part.phasors is not None:
         return True
@@ -203,7 +203,7 @@ def _has_phasors(part: Burst) -> bool:
     return len(part.frequencies_hz) == 1 and not dark
 
 
-def _averaged(part: Burst, channel: str) -> Array:
+def averaged(part: Burst, channel: str) -> Array:
     """Return frames [frame row col] whose pixels average a scene: of phasors these."""
     if channel == "phasor" and part.phasors is not None:
         return np.asarray(part.phasors[int(np.argmax(part.frequencies_hz))])

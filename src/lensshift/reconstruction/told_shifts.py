@@ -13,6 +13,7 @@ from lensshift.core.types import Burst, ShiftField
 from lensshift.reconstruction.glance import Glance, glance
 from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
 from lensshift.reconstruction.method import Request
+from lensshift.reconstruction.pixel_response import averaged, has_phasors
 from lensshift.reconstruction.quick_shifts import found_variance_px2
 from lensshift.reconstruction.shift_check import (
     Doubt,
@@ -82,7 +83,10 @@ def _mended(told: Told, look: Glance, request: Request) -> Told:
     if np.abs(look.apart_px).max() > REACH_PX:
         return told
     burst, part = told.burst, told.part
-    found = corrected_shifts(part.amplitude, part.valid, part.offset_px)
+    # An amplitude of two distances is no mean of theirs: where they are mixed it falls to nothing.
+    phasors = part.distance_m is not None and has_phasors(part)
+    values = averaged(part, "phasor" if phasors else "amplitude")
+    found = corrected_shifts(values, part.valid, part.offset_px)
     if found is None or not surely_better(look, found.offset_px):
         return told
     used = list(request.frames or range(burst.frame_count))
