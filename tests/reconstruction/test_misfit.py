@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, square
-from pixel_camera import edge_scene, photograph
+from pixel_camera import edge_scene, photograph, smooth_scene
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Status
@@ -350,3 +350,11 @@ def test_the_noise_of_an_even_scene_lies_nowhere_else(count: int, tilt: float) -
         col = np.arange(shape[1]) - offset_px[:, 1, None, None]
         noise = 0.02 * rng.standard_normal((count, *shape))
         assert warned(burst_of(1 + tilt * col / shape[1] + noise, offset_px)) == []
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_smooth_scene_of_few_pixels_has_one_brightness(seed: int) -> None:
+    """Light goes with its slopes; of 60 such bursts 32 were said to differ in brightness."""
+    rng = np.random.default_rng([seed, 9])
+    y = photograph(smooth_scene, (9, 13), square(2)) + 0.005 * rng.standard_normal((4, 9, 13))
+    assert warned(burst_of(y)) == []

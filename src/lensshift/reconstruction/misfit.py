@@ -48,6 +48,8 @@ MOVED_DOUBT, MOVED_BELIEF, OTHER_BELIEF = 3.5, (0.5, 0.8), (1.0, 2.5)
 BLOCK_PX = 6
 # What is left besides the light is at least this part of the noise, which other light inflates.
 LEAST_REST = 0.25
+# And as light that goes with the slopes of a smooth scene by chance, in standard errors of a fit.
+LIGHT_SIGMAS = 3.0
 # One frame contradicts alone if no other does in so much of where it does.
 ALONE_SHARE = 0.25
 # A frame with so much more noise than the best is not the one that says what was where.
@@ -305,16 +307,20 @@ def _brightness(
         v[enough] for v in (on, *(some_pixels(v) for v in (r, terms, variance, doubt)))
     )
     odd = np.maximum(doubt / np.maximum(middle(doubt, on), 1e-12), 1.0)
-    fit = fits(terms, variance * odd**2, r, on)[0][:, None]
+    fit, covariance = fits(terms, variance * odd**2, r, on)
+    fit = fit[:, None]
     own = fit[..., :2] - fit[..., :2].mean(axis=0)  # what all share is the picture's
     found[enough] = own[:, 0]
-    light = np.abs((own @ terms[:, :2])[:, 0]) ** 2 * on
+    lit = terms[:, :2]
+    light = np.abs((own @ lit)[:, 0]) ** 2 * on
+    # In a smooth scene light goes with slopes, and the fit hardly tells them apart.
+    chance = LIGHT_SIGMAS**2 * np.sum((covariance[:, :2, :2] @ lit).conj() * lit, axis=1).real * on
     # A few bright pixels that do not fit have a gain of their own, whatever the dark ones say.
-    left = zip(np.abs(r - (fit @ terms)[:, 0]), variance, on, light, strict=True)
+    left = zip(np.abs(r - (fit @ terms)[:, 0]), variance, on, light, chance, strict=True)
     rest = [
         max(max(usual(size, w) for w in (seen, there)) / MEDIAN_SIZE,
-            LEAST_REST * np.sqrt(usual(var, there)))
-        for size, var, seen, there in left
+            LEAST_REST * np.sqrt(usual(var, there)), np.sqrt(odds.sum() / seen.sum()))
+        for size, var, seen, there, odds in left
     ]  # fmt: skip
     return float(np.max(np.sqrt(np.sum(light, axis=-1) / on.sum(axis=-1)) / rest)), found
 
