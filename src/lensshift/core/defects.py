@@ -14,7 +14,7 @@ STANDS_OUT = 10.0
 # whose top is one level of a converter higher does so, too.
 LEAST_CONTRAST = 0.5
 # Of the pixels of a row that lives, so many at most are the same in all frames: noise changes all.
-MOST_CHANGES = 0.5
+MOST_STILL = 0.5
 # What enters and leaves a picture at its borders changes its mean by a few hundredths of the
 # standard deviation of its pixels; half of that is another exposure or another light.
 OTHER_LIGHT = 0.5
@@ -63,7 +63,7 @@ def _still_rows(still: Mask) -> Mask:
     """Return the rows that are still between two of which most pixels are not."""
     share = still.mean(axis=1)
     found = share == 1.0
-    found[1:-1] &= np.maximum(share[:-2], share[2:]) < MOST_CHANGES
+    found[1:-1] &= np.maximum(share[:-2], share[2:]) < MOST_STILL
     found[[0, -1]] = False
     return np.asarray(found)
 

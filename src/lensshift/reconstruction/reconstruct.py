@@ -187,10 +187,10 @@ def _estimates(
             take_level=chosen.take_level and not request.non_negative,
             intensity=chosen.intensity, **seen,
         )  # fmt: skip
-        doubts = [overexposed(values, problem.clipped)]
-        doubts += [doubt_about_noise(problem)] if chosen.name == "auto" else []
-        for said in filter(None, [] if request.streamed or found else doubts):
-            warnings.warn(said, QualityWarning, stacklevel=3)
+        if not (request.streamed or found):
+            doubt = doubt_about_noise(problem) if chosen.name == "auto" else None
+            for said in filter(None, (overexposed(values, problem.clipped), doubt)):
+                warnings.warn(said, QualityWarning, stacklevel=3)
         if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
             problem = problem.with_brightness(part.amplitude)
         own = replace(request, law=None) if key == "distance" else request

@@ -45,7 +45,8 @@ LEAST_TURNING, LEAST_QUARTER_T = 4, 2.0
 AGREED_PX, AGREED_SHARE = 0.1, 0.25
 # How much worse the given shifts have to predict: for a closer look, to name a mistake, and where
 # none explains it; and by how many standard errors. Of 1266 right bursts only lone gratings beyond
-# the Nyquist frequency were doubted; of 96 wrong ones 3 were not (two that cannot be told apart).
+# the Nyquist frequency were doubted, which are taken off since (`without_lone_waves`); of 96 wrong
+# ones 3 were not (two that cannot be told apart).
 SUSPICIOUS, NAMED, UNNAMED, LEAST_T = 1.03, 1.05, 1.2, 5.0
 # Of shifts that the frames tell by other means as well, the usual 3 sigma are enough.
 SURE = 3.0
