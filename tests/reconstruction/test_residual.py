@@ -73,8 +73,8 @@ def test_frames_that_a_picture_explains_to_the_last_digit_have_no_noise() -> Non
 @pytest.mark.filterwarnings("error")
 def test_complex_frames_are_read_without_a_warning_of_their_imaginary_part() -> None:
     rng = np.random.default_rng(5)
-    phase = np.exp(6j * rng.random((1, *SHAPE)))
-    burst = Burst.from_arrays(rng.random((2, *SHAPE)) * phase, offset_px=OFFSET_PX, pitch_mm=0.1)
+    phase = np.exp(6j * rng.random((2, *SHAPE)))
+    burst = Burst.from_arrays(rng.random(phase.shape) * phase, offset_px=OFFSET_PX, pitch_mm=0.1)
     found = reconstruct(burst, channel="amplitude", psf_sigma_px=0.3).amplitude
     assert np.iscomplexobj(found.image)
 

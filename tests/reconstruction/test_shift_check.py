@@ -367,3 +367,47 @@ def test_a_lone_wave_is_taken_off_whole(
     assert left is not None
     assert np.abs(left[seen]).max() < 0.05
     assert without_lone_waves(rng.standard_normal(y.shape), seen) is None
+
+
+@pytest.mark.parametrize("offset_px", [SQUARE_PX, SCATTERED_PX], ids=["square", "scattered"])
+def test_phasors_name_what_an_even_amplitude_hides(offset_px: Array) -> None:
+    """Light that comes back alike from all depths: amplitudes fall where two are mixed, no more."""
+
+    def depths(row: Array, col: Array) -> Array:
+        return np.exp(0.8j * _boxes(row, col))
+
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        still = photograph(lambda r, c: depths(r, c).real, SHAPE, offset_px)
+        y = still + 1j * photograph(lambda r, c: depths(r, c).imag, SHAPE, offset_px)
+        y = y + 0.02 * (rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape))
+        assert doubtful_shifts(y, offset_px) is None
+        swapped = doubtful_shifts(y, offset_px[:, ::-1])
+        assert swapped is not None
+        assert swapped.mistake == "rows and columns swapped"
+        turned = doubtful_shifts(y * np.exp(2j), offset_px[:, ::-1])
+        assert turned is not None
+        assert turned.mistake == swapped.mistake
+
+
+@pytest.mark.parametrize("level", [-0.5, 300.0])
+def test_levels_change_no_doubt(level: float) -> None:
+    """Zero in the middle of the scene is a level like any other."""
+    y = _frames(_boxes, SCATTERED_PX, SIGMA)
+    assert doubtful_shifts(y + level, SCATTERED_PX) is None
+    doubt = doubtful_shifts(y + level, -SCATTERED_PX)
+    assert doubt is not None
+    assert doubt.mistake == "their sign"
+    assert doubt.ratio == pytest.approx(doubtful_shifts(y, -SCATTERED_PX).ratio, rel=1e-3)
+
+
+@pytest.mark.parametrize("offset_px", [SQUARE_PX, SCATTERED_PX], ids=["square", "scattered"])
+def test_frames_say_where_they_lie_when_unseen_pixels_say_little(offset_px: Array) -> None:
+    """Noise is most of each pixel, but all of them together tell their shifts."""
+    told = 0
+    for seed in range(6):
+        y = _frames(_boxes, offset_px, 0.2, seed)
+        assert doubtful_shifts(y, offset_px) is None
+        doubt = doubtful_shifts(y, offset_px[:, ::-1])
+        told += doubt is not None and doubt.mistake == "rows and columns swapped"
+    assert told >= 5

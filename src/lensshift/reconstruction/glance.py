@@ -51,16 +51,20 @@ class Glance:
 
 
 def glance(frames: ArrayLike, offset_px: ArrayLike, valid: Mask) -> Glance | None:
-    """Return what some frames tell at a glance, None if that is too little."""
-    values = np.abs(np.asarray(frames))
+    """Return what some frames [frame row col], real or complex, tell at a glance.
+
+    None if that is too little.
+    """
+    values = np.asarray(frames)
     evenly = np.linspace(0, len(values) - 1, min(len(values), MOST_FRAMES)).round()
     some = np.unique(evenly.astype(np.intp))
     offsets = np.asarray(offset_px, np.float64)[some]
     values, seen, given, about = _part(values[some], valid[some], offsets)
     if len(values) < 2 or min(values.shape[1:]) < LEAST_PX or seen.mean() < 0.5:
         return None
-    values = (values - np.median(values[seen])) / max(float(np.std(values[seen])), 1e-300)
-    seen = seen & ~_lone(np.where(seen, values, 0.0))
+    values = (values - _middle(values[seen])) / max(float(np.std(values[seen])), 1e-300)
+    values = np.where(seen, values, 0.0)
+    seen = seen & ~_lone(values)
     values = np.where(seen, values, 0.0)
     smooth = low_passed(values, seen)
     if smooth is None:
@@ -68,11 +72,20 @@ def glance(frames: ArrayLike, offset_px: ArrayLike, valid: Mask) -> Glance | Non
     return Glance(some, values, seen, given, about, smooth, found_shifts(smooth, given))
 
 
+def _middle(values: Array) -> complex:
+    """Return the median, of complex numbers that of their parts."""
+    if np.iscomplexobj(values):
+        return complex(np.median(values.real), np.median(values.imag))
+    return float(np.median(values))
+
+
 def _lone(values: Array) -> Mask:
     """Return the pixels [frame row col] that stand out among their neighbours in all frames.
 
     Salt and pepper draws a fit to itself, and least where all frames lie at one place.
     """
+    if np.iscomplexobj(values):
+        return _lone(values.real) | _lone(values.imag)
     windows = np.lib.stride_tricks.sliding_window_view(
         np.pad(values, ((0, 0), (1, 1), (1, 1)), mode="symmetric"), (3, 3), (1, 2)
     )
@@ -96,7 +109,7 @@ def _part(values: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask, Sh
     edge = seen[0] & np.roll(seen[0], 1, 0) & np.roll(seen[0], 1, 1)
     span_px = float(np.ptp(offset_px, axis=tuple(range(offset_px.ndim - 1))).max())
     side = MOST_PX + (min(math.ceil(span_px), MOST_PX) if span_px > FAR_PX else 0)
-    busy = [uniform_filter(np.where(edge, g, 0.0) ** 2, side) for g in (down, right)]
+    busy = [uniform_filter(np.abs(np.where(edge, g, 0.0)) ** 2, side) for g in (down, right)]
     middle = np.unravel_index(int(np.argmax(np.minimum(*busy))), first.shape)
     starts = (
         max(0, min(int(at) - side // 2, size - side))
@@ -109,4 +122,5 @@ def _part(values: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask, Sh
         offset_px = field_px.mean(axis=(1, 2))
         about_px = field_px - offset_px[:, None, None]
     offset_px = offset_px - offset_px.mean(axis=0)
-    return values[:, *window].astype(np.float64), seen[:, *window], offset_px, about_px
+    kind = np.complex128 if np.iscomplexobj(values) else np.float64
+    return values[:, *window].astype(kind), seen[:, *window], offset_px, about_px

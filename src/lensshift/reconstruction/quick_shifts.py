@@ -28,9 +28,9 @@ def low_passed(values: Array, seen: Mask) -> Array | None:
     width = (0, LOW_PASS_PX, LOW_PASS_PX)
     smooth = gaussian_filter(values, width)
     smooth /= np.maximum(gaussian_filter(seen.astype(np.float64), width), 1e-3)
-    if np.mean(smooth**2) * 4 * np.pi * LOW_PASS_PX**2 < 0.8 * np.mean(values**2):
+    if _power(smooth) * 4 * np.pi * LOW_PASS_PX**2 < 0.8 * _power(values):
         return None
-    return np.stack([spline_filter(frame) for frame in smooth])
+    return np.stack([spline_filter(frame, output=smooth.dtype) for frame in smooth])
 
 
 def without_lone_waves(values: Array, seen: Mask) -> Array | None:
@@ -39,6 +39,10 @@ def without_lone_waves(values: Array, seen: Mask) -> Array | None:
     A lone wave beyond the Nyquist frequency of the frames is the same as its alias, which moves
     another way: it cannot say which of two readings of the shifts is wrong.
     """
+    if np.iscomplexobj(values):
+        parts = np.concatenate([values.real, values.imag])
+        rest = without_lone_waves(parts, np.concatenate([seen, seen]))
+        return None if rest is None else rest[: len(values)] + 1j * rest[len(values) :]
     left, found = np.where(seen, values, 0.0), False
     for _ in range(MOST_WAVES):
         rest = _without_wave(left, seen)
@@ -128,9 +132,9 @@ def found_turns(smooth: Array, given_px: Shifts) -> Array | None:
                 for frame, by in zip(smooth, field, strict=True)
             ])  # fmt: skip
         common = moved.mean(axis=0)
-        known = (np.stack(np.gradient(common))[:, None] * terms)[INNER].reshape(6, -1)
+        known = _real((np.stack(np.gradient(common))[:, None] * terms)[INNER].reshape(6, -1))
         told = np.linalg.pinv(known @ known.T, rcond=LEAST_TOLD, hermitian=True)
-        step = (common - moved)[INNER].reshape(len(smooth), -1) @ known.T @ told
+        step = _real((common - moved)[INNER].reshape(len(smooth), -1)) @ known.T @ told
         step = np.clip(step - step.mean(axis=0), -1.0, 1.0).reshape(place.shape)
         if number == 0 and np.abs(step[..., 1:]).sum(axis=2).max() < LEAST_TURN_PX:
             return None
@@ -144,8 +148,17 @@ def _rest_and_slope(smooth: Array, offset_px: Shifts) -> tuple[Array, Array]:
     """Return what frames at these shifts lack of their mean [frame pixel], its slopes [pixel 2]."""
     moved = _moved(smooth, offset_px)
     common = moved.mean(axis=0)
-    slope = np.stack([g[INNER].ravel() for g in np.gradient(common)], axis=1)
-    return (common - moved)[INNER].reshape(len(smooth), -1), slope
+    slope = _real(np.stack([g[INNER].ravel() for g in np.gradient(common)]))
+    return _real((common - moved)[INNER].reshape(len(smooth), -1)), slope.T
+
+
+def _real(values: Array) -> Array:
+    """Return numbers [... n]; of complex ones both parts as numbers of their own [... 2 n]."""
+    return np.ascontiguousarray(values).view(np.float64)
+
+
+def _power(values: Array) -> float:
+    return float(np.vdot(values, values).real) / values.size
 
 
 def _moved(smooth: Array, offset_px: Shifts) -> Array:

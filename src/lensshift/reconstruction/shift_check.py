@@ -24,6 +24,7 @@ from lensshift.reconstruction.glance import FAR_PX, Glance
 from lensshift.reconstruction.quick_shifts import (
     found_shifts,
     found_turns,
+    found_variance_px2,
     low_passed,
     without_lone_waves,
 )
@@ -52,6 +53,9 @@ SUSPICIOUS, NAMED, UNNAMED, LEAST_T = 1.03, 1.05, 1.2, 5.0
 SURE = 3.0
 # Where no mistake explains it so many frames have to be off; fewer are left out by the solvers.
 LEAST_OFF_PX, LEAST_OFF_SHARE = 0.2, 0.25
+# Frames lie where a reading has them, not there by chance, if random shifts as far from the given
+# ones come as near to any of the readings less often than this.
+CHANCE = 0.01
 # A mistake explains what the frames tell if it leaves a tenth of the squares: errors of the shifts.
 UNEXPLAINED = 0.1
 
@@ -72,6 +76,8 @@ CURES: Mapping[str, str] = {
     "no simple mistake": "check offset_px, or let `lensshift.register` find it",
 }
 OTHER_UNIT, NO_MISTAKE = "their unit", "no simple mistake"
+# Readings that follow from where the frames seem to lie are always near that.
+FROM_FRAMES = (OTHER_UNIT, NO_MISTAKE, "shifts that were not told", "the order of the frames")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,11 +89,13 @@ class Doubt:
     mistake : the likely one, a key of `CURES`
     ratio : error at unseen pixels under the given shifts over that under the other reading
     factor : of another unit, by which the given shifts are too small
+    told : whether the frames themselves tell these shifts, and not by chance
     """
 
     mistake: str
     ratio: float
     factor: float = 1.0
+    told: bool = False
 
     @property
     def named(self) -> bool:
@@ -108,9 +116,11 @@ def warn_of_doubt(doubt: Doubt, *, stacklevel: int = 2) -> None:
     QualityWarning
         Always.
     """
+    seen = f"pixels left out are predicted {doubt.ratio:.2f} times worse than under another reading"
+    if doubt.ratio < NAMED:
+        seen = "they lie elsewhere, where another reading has them"
     warnings.warn(
-        f"the frames contradict offset_px: pixels left out are predicted {doubt.ratio:.2f} "
-        f"times worse than under another reading; likely {doubt.mistake}: {doubt.cure}",
+        f"the frames contradict offset_px: {seen}; likely {doubt.mistake}: {doubt.cure}",
         QualityWarning,
         stacklevel=stacklevel + 1,
     )
@@ -124,7 +134,8 @@ def doubtful_shifts(look: Glance, scale: int) -> Doubt | None:
     order that comes closest to that, and of frames that also turn and grow. The reading that
     predicts the remaining pixels best is named if the given one errs more by 5 % (20 % where no
     simple mistake explains it), and by five standard errors of the difference. What white noise
-    alone does to a reading does not count.
+    alone does to a reading does not count. So is a reading that predicts no worse if the frames
+    seem to lie just where it has them, and by five standard errors not where they were told.
     A wave that holds most of what there is passes for its alias; what is left without it decides.
 
     Parameters
@@ -139,9 +150,11 @@ def doubtful_shifts(look: Glance, scale: int) -> Doubt | None:
     if first is None:
         return None
     # Other brightness of a frame looks like a shift of an edge; without it, slow slopes show none.
-    alike = _alike(look.values, seen)
-    told: Doubt | None = None
-    for values in (alike, without_lone_waves(alike, seen)):
+    # But it puts all frames where a mistake has them by chance alone.
+    alike = look.values if first.told else _alike(look.values, seen)
+    left = without_lone_waves(alike, seen)
+    told: Doubt | None = first if first.told else None
+    for values in (left,) if first.told else (alike, left):
         if values is None:
             break
         again = low_passed(values, seen)
@@ -172,18 +185,23 @@ def _doubt(trial: _Trial, smooth: Array, found: Shifts, scale: int) -> Doubt | N
     apart_px = found - given
     if np.abs(apart_px).max() < min(AGREED_PX, AGREED_SHARE * span_px or AGREED_PX):
         return None
+    readings, square_px2 = _readings(given, found, scale), float(np.sum(apart_px**2))
+    sure_px2 = LEAST_T**2 * found_variance_px2(smooth, found)
     first = (found, given / scale, given * scale)
-    if all(trial.compare(other, 1)[0] < SUSPICIOUS for other in first):
-        return None
+    alike = all(trial.compare(other, 1)[0] < SUSPICIOUS for other in first)
     off = np.abs(apart_px - np.median(apart_px, axis=0)).max(axis=1) >= LEAST_OFF_PX
     doubts, close = [], []
-    for mistake, other in _readings(given, found, scale):
+    for mistake, other in readings:
+        # What the frames tell holds the errors of the shifts too, and predicts a little better.
+        left = float(np.sum((other - found) ** 2)) / square_px2
+        chance = 1.0 if mistake in FROM_FRAMES else len(readings) * left ** (len(given) - 1)
+        told = chance <= CHANCE and (1.0 - left) * square_px2 >= sure_px2
+        if alike and not told:
+            continue
         ratio, sure = trial.compare(other, CONFIRMING_FOLDS)
-        if sure >= LEAST_T and ratio >= NAMED:
-            doubts.append(Doubt(mistake, ratio, _factor(given, other)))
-            # What the frames tell holds the errors of the shifts too, and predicts a little better.
-            explained = np.sum((other - found) ** 2) <= UNEXPLAINED * np.sum(apart_px**2)
-            close += doubts[-1:] if explained else []
+        if (sure >= LEAST_T and ratio >= NAMED) or (told and ratio >= 1.0):
+            doubts.append(Doubt(mistake, ratio, _factor(given, other), told))
+            close += doubts[-1:] if left <= UNEXPLAINED else []
     likely = max((doubt.ratio for doubt in doubts), default=0.0) / SUSPICIOUS
     best = next((doubt for doubt in doubts if doubt.ratio >= likely), None)
     best = best if best is None or best.named else close[0]
@@ -221,7 +239,8 @@ class _Trial:
         self, values: Array, seen: Mask, given_px: Shifts, about_px: Array | None, seed: int = 0
     ) -> None:
         rng = np.random.default_rng(seed)
-        self.values, self.seen, self.given_px = values.astype(np.float32), seen, given_px
+        kind = np.complex64 if np.iscomplexobj(values) else np.float32
+        self.values, self.seen, self.given_px = values.astype(kind), seen, given_px
         self.about_px = about_px
         self.fold = rng.integers(0, FOLDS, values.shape)
         self.noise = rng.standard_normal(values.shape, np.float32)
@@ -333,5 +352,5 @@ def _alike(values: Array, seen: Mask) -> Array:
     about = np.where(
         seen, values - np.where(seen, values, 0.0).mean((1, 2), keepdims=True) / share, 0.0
     )
-    spread = np.sqrt((about**2).mean(axis=(1, 2), keepdims=True) / share)
+    spread = np.sqrt((np.abs(about) ** 2).mean(axis=(1, 2), keepdims=True) / share)
     return np.asarray(about / np.maximum(spread, 1e-300))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, ShiftField
 from lensshift.reconstruction.glance import Glance, glance
@@ -64,7 +65,7 @@ def held_against_frames(
     if not asked:
         return told, request
     shifts = part.offset_px if shift_field is None else shift_field.offset_px
-    look = glance(part.amplitude, shifts, part.valid)
+    look = glance(_averages(part), shifts, part.valid)
     doubt = None if look is None else doubtful_shifts(look, scale)
     if doubt is not None and doubt.named:
         warn_of_doubt(doubt, stacklevel=3)
@@ -83,10 +84,7 @@ def _mended(told: Told, look: Glance, request: Request) -> Told:
     if np.abs(look.apart_px).max() > REACH_PX:
         return told
     burst, part = told.burst, told.part
-    # An amplitude of two distances is no mean of theirs: where they are mixed it falls to nothing.
-    phasors = part.distance_m is not None and has_phasors(part)
-    values = averaged(part, "phasor" if phasors else "amplitude")
-    found = corrected_shifts(values, part.valid, part.offset_px)
+    found = corrected_shifts(_averages(part), part.valid, part.offset_px)
     if found is None or not surely_better(look, found.offset_px):
         return told
     used = list(request.frames or range(burst.frame_count))
@@ -108,6 +106,15 @@ def _mended(told: Told, look: Glance, request: Request) -> Told:
     burst = replace(burst, offset_px=moved, offset_sigma_px=sigma_px)
     said = {"corrected_offset_px": found.offset_px.tolist(), "offset_error_px": found.error_px}
     return Told(burst, burst.select(used), None, said)
+
+
+def _averages(part: Burst) -> Array:
+    """Return frames [frame row col] that move like the scene.
+
+    An amplitude of two distances is no mean of theirs: where they are mixed it falls to nothing.
+    """
+    phasors = part.distance_m is not None and has_phasors(part)
+    return averaged(part, "phasor" if phasors else "amplitude")
 
 
 def _in_question(part: Burst, look: Glance) -> bool:
