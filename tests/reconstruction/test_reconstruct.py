@@ -444,6 +444,7 @@ def test_std_holds_the_level_that_no_frame_tells() -> None:
     assert np.mean(inside) > 0.8
 
 
+@pytest.mark.filterwarnings("ignore:the frames contradict offset_px")  # the frame of noise does
 def test_known_variance_takes_a_bad_frame_out() -> None:
     frames = _noisy(smooth_scene, (16, 24), sigma=0.002)
     frames[1] += 0.5 * np.random.default_rng(3).standard_normal(frames[1].shape)

@@ -14,7 +14,7 @@ from pixel_camera import SQUARE_PX, Array, edge_scene, make_burst, photograph
 
 from lensshift.camera import camera_preset, named_pattern_px, simulate_tof
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import ShiftField
+from lensshift.core.types import ShiftField, Status
 from lensshift.reconstruction import glance, shift_check
 from lensshift.reconstruction.quick_shifts import without_lone_waves
 from lensshift.reconstruction.reconstruct import reconstruct
@@ -127,8 +127,22 @@ def test_micrometres_on_a_sensor_of_more_than_a_part_are_doubted() -> None:
 def test_frames_that_are_moved_out_of_the_picture_are_named() -> None:
     offset_px = np.array([[0.0, 0.0], [0.0, 0.5], [0.0, 40.0], [0.5, 0.0]])
     burst = make_burst(_frames(_weave, SQUARE_PX, SIGMA), offset_px)
-    with pytest.warns(QualityWarning, match=r"of frame 2 nothing is used.*by 40 px"):
+    with (
+        pytest.warns(QualityWarning, match="check offset_px"),
+        pytest.warns(QualityWarning, match=r"of frame 2 nothing is used.*by 40 px"),
+    ):
         reconstruct(burst, std=False, method="tikhonov")
+
+
+@pytest.mark.parametrize("method", ["tikhonov", "tv", "l1-btv", "map", "irwsr", "irwsr-toolbox"])
+def test_every_solver_says_that_shifts_are_wrong(method: str) -> None:
+    frames = _frames(_boxes, SQUARE_PX, SIGMA)
+    with pytest.warns(QualityWarning, match="rows and columns swapped") as said:
+        found = reconstruct(make_burst(frames, SQUARE_PX[:, ::-1]), std=False, method=method)
+    assert len(said) == 1
+    assert found.amplitude.status is Status.CONTRADICTED
+    with warnings.catch_warnings(action="error"):
+        reconstruct(make_burst(frames, SQUARE_PX), std=False, method=method)
 
 
 @pytest.mark.parametrize(("rows", "told"), [(7, False), (8, True)])

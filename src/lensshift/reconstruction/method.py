@@ -72,6 +72,8 @@ class Method:
         of 1/scale of the pitch see behind the same lens
     reads_response : whether a pixel response that nobody told is read from the frames; else it is
         the usual one, or there is none in the method
+    questions_shifts : whether shifts that the frames contradict are spoken of; a plain method
+        stands beside a solver, which does
     """
 
     name: ClassVar[str]
@@ -81,6 +83,7 @@ class Method:
     keep_outside: ClassVar[bool] = False
     undoes_lens: ClassVar[bool] = True
     reads_response: ClassVar[bool] = True
+    questions_shifts: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -20,6 +20,7 @@ from lensshift.reconstruction.problem import Problem
 @dataclass(frozen=True, slots=True)
 class _Plain(Method):
     reads_response: ClassVar[bool] = False
+    questions_shifts: ClassVar[bool] = False
 
     def __call__(self, problem: Problem, request: Request) -> Estimate:
         """Return the estimate, with the noise that comes through a linear method."""

@@ -144,13 +144,13 @@ def reconstruct(
         streamed=bool(streamed), device=on_device(device, name),
     )  # fmt: skip
     burst, part = _parts(burst, used, request)
-    _question(part, request)
     field = None if field is None else field.select(used)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
-    asked = before is None and (name == "auto" or choice.channel == "phasor")
-    told, request = held_against_frames(burst, part, field, scale, request, asked=asked)
+    mend = name == "auto" or choice.channel == "phasor"
+    ask = before is None and (chosen.questions_shifts or mend)
+    told, request = held_against_frames(burst, part, field, scale, request, ask=ask, mend=mend)
     burst, part = told.burst, told.part
     seen: dict[str, Any] = {
         "scale": scale, "blur": undone(blur, response, chosen, lens_field), "shift_field": field,
@@ -234,9 +234,10 @@ def _objected(
         also = like_movement if "something moved" in wrong else ""
         warnings.warn(f"{wrong}{also}", QualityWarning, stacklevel=3)
     blamed = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
-    if doubt is not None and not (blamed or refuted):  # no frame and no place to blame it on
+    named = doubt is not None and doubt.named  # of which the user was told
+    if doubt is not None and not (named or blamed or refuted):  # nothing to blame it on
         warn_of_doubt(doubt, stacklevel=3)
-    elif refuted is None:
+    elif refuted is None and not named:
         return found
     return {
         key: one if one.status is Status.NOT_FINITE else replace(one, status=Status.CONTRADICTED)
@@ -314,9 +315,17 @@ def _frame_numbers(
 
 
 def _parts(burst: Burst, used: tuple[int, ...], request: Request) -> tuple[Burst, Burst]:
-    """Return the burst without blank frames, which a stream does not look for, and what is used."""
+    """Return the burst without blank frames and what is used of it.
+
+    Warns of what the frames can hardly be like; of those of a stream all that was done and said.
+    """
     burst = burst if request.streamed else without_blank(burst, used, stacklevel=3)
-    return burst, burst if used == tuple(range(burst.frame_count)) else burst.select(used)
+    part = burst if used == tuple(range(burst.frame_count)) else burst.select(used)
+    if not request.streamed:
+        doubts = doubts_about_frames(part.amplitude, part.valid, photometric=request.photometric)
+        for said in doubts:
+            warnings.warn(said, QualityWarning, stacklevel=3)
+    return burst, part
 
 
 def _field_of(
@@ -346,15 +355,6 @@ def _checked(burst: Burst, scale: int, noise_sigma: float | None, *, streamed: b
     if isinstance(scale, bool | float) or scale not in range(1, 9):
         raise ValueError(f"expected a whole scale from 1 to 8, got {scale!r}")
     return burst if streamed else without_stuck(burst, stacklevel=3)
-
-
-def _question(burst: Burst, request: Request) -> None:
-    """Warn of what the frames can hardly be like; of those of a stream it was said."""
-    if request.streamed:
-        return
-    doubts = doubts_about_frames(burst.amplitude, burst.valid, photometric=request.photometric)
-    for said in doubts:
-        warnings.warn(said, QualityWarning, stacklevel=3)
 
 
 def _settings(

@@ -52,9 +52,10 @@ def held_against_frames(
     scale: int,
     request: Request,
     *,
-    asked: bool,
+    ask: bool,
+    mend: bool,
 ) -> tuple[Told, Request]:
-    """Return shifts that the frames do not contradict, or what they doubt, if they are asked.
+    """Return what frames doubt of shifts, if asked; or shifts that they do not doubt, if mended.
 
     Warns
     -----
@@ -62,7 +63,7 @@ def held_against_frames(
         If there is a doubt that has a name, or shifts were mended by more than 0.05 px (rms).
     """
     told = Told(burst, part)
-    if not asked:
+    if not ask:
         return told, request
     shifts = part.offset_px if shift_field is None else shift_field.offset_px
     look = glance(_averages(part), shifts, part.valid)
@@ -70,8 +71,9 @@ def held_against_frames(
     if doubt is not None and doubt.named:
         warn_of_doubt(doubt, stacklevel=3)
         return replace(told, doubt=doubt), replace(request, shifts_doubted=True)
-    live = request.streamed  # the lens comes back to places that were found long ago
-    if look is None or shift_field is not None or live or not _in_question(part, look):
+    # The lens of a stream comes back to places that were found long ago.
+    mend = mend and shift_field is None and not request.streamed
+    if look is None or not mend or not _in_question(part, look):
         return replace(told, doubt=doubt), request
     return _mended(replace(told, doubt=doubt), look, request), request
 
