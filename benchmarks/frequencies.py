@@ -23,7 +23,7 @@ from lensshift.core.units import SPEED_OF_LIGHT_MPS, distance_to_phase
 
 SHAPE, FINE, SCALE, SHIFT_ERROR_PX = (18, 26), 12, 2, 0.02
 OFFSETS_PX = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, 0.25), (0.25, -0.25)])
-SETS_MHZ = ((100, 20), (80, 20), (60, 15), (80, 60), (100, 80, 60))
+SETS_MHZ = ((100, 20), (80, 20), (60, 15), (80, 60), (80.3, 60.2), (100, 80, 60))
 Array = NDArray[np.float64]
 
 

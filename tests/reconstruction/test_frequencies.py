@@ -29,7 +29,12 @@ from lensshift.evaluation import depth_error
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.prediction import FramePredictor, phasor_predictors
 from lensshift.io import export_burst, load_image_stack
-from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, likelier_order
+from lensshift.reconstruction.phasor.frequencies import (
+    Tones,
+    common_distance,
+    likelier_order,
+    repeats_m,
+)
 from lensshift.scene import Cuboid, Plane, Scene
 
 OFFSETS = [(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)]
@@ -153,8 +158,8 @@ def test_a_pixel_that_takes_the_turn_of_its_neighbours_may_contradict_itself(
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("turns", [-1, 1, 3])
 def test_a_lone_pixel_is_never_beyond_the_surfaces_around_it(turns: int, seed: int) -> None:
-    """However sure it is of its turn."""
-    hz, rng = (300e6, 20e6), np.random.default_rng(seed)
+    """However sure it is of its turn, where no frequency tells turns by itself."""
+    hz, rng = (300e6, 36e6), np.random.default_rng(seed)
     tones = Tones(hz, *np.zeros((2, 2, 1)))
     distance_m = np.where(np.arange(14) < 6, 2.0, 2.1) * np.ones((9, 1))
     at = (int(rng.integers(2, 7)), int(rng.integers(3, 11)))
@@ -167,6 +172,46 @@ def test_a_lone_pixel_is_never_beyond_the_surfaces_around_it(turns: int, seed: i
     distance_m[at] -= turns * tones.turn_m
     np.testing.assert_allclose(found_m, distance_m, atol=0.05 * tones.turn_m)
     assert std_m[at] == std_m.max() > abs(found_m[at] - distance_m[at])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_thin_thing_that_the_lowest_frequency_sees_stays_where_it_is(seed: int) -> None:
+    """A strip of one pixel along the border, a turn of 80 MHz nearer than the wall."""
+    hz, rng = (80e6, 20e6), np.random.default_rng(seed)
+    truth_m = np.where(np.arange(15) == 14, 2.4, 4.4) * np.ones((9, 1))
+    std = np.array([0.03, 0.1])[:, None, None] * np.ones(truth_m.shape)
+    phase_rad = distance_to_phase(1.0, 1.0) * np.array(hz)[:, None, None] * truth_m
+    phase_rad += std * rng.standard_normal(std.shape)
+    np.testing.assert_allclose(common_distance(Tones(hz, phase_rad, std))[0], truth_m, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("told_mhz", "repeat_m"),
+    [
+        ((100, 20), 7.4948), ((20, 100), 7.4948), ((80, 60), 7.4948), ((120, 80, 16), 18.737),
+        ((80.3, 60.2), 7.4669), ((80.32, 60.24), 7.4649), ((60.24, 50.12), 14.930),
+        ((30.1, 29.3), 200.0), ((100, 99), 149.9), ((15,), 9.9931), ((100, 61.8), 200.0),
+    ],
+)  # fmt: skip
+def test_all_phases_are_back_where_no_phase_can_tell(
+    told_mhz: tuple[float, ...], repeat_m: float
+) -> None:
+    """c / (2 gcd f), though frequencies are told rounded; none is for unrelated ones."""
+    hz = tuple(1e6 * mhz for mhz in told_mhz)
+    found_m = repeats_m(hz, np.full(len(hz), 0.05))
+    assert found_m == pytest.approx(repeat_m, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rounded_frequencies_put_nothing_many_turns_away(seed: int) -> None:
+    rng, true_hz = np.random.default_rng(seed), np.array([80.32e6, 60.24e6])
+    truth_m = np.where(np.arange(21) < 9, 2.0, 3.1) * np.ones((11, 1))
+    std_rad = np.full((2, *truth_m.shape), 0.05)
+    phase_rad = distance_to_phase(1.0, 1.0) * true_hz[:, None, None] * truth_m
+    phase_rad = np.mod(phase_rad + std_rad * rng.standard_normal(std_rad.shape), 2 * np.pi)
+    found_m, std_m = common_distance(Tones((80.3e6, 60.2e6), phase_rad, std_rad))
+    assert np.abs(found_m - truth_m).max() < 0.15
+    assert np.mean(np.abs(found_m - truth_m) < 2 * std_m) > 0.9
 
 
 @pytest.mark.parametrize("hz", [PAIR_HZ, (20e6, 100e6), (80e6, 60e6), (15e6,)])
