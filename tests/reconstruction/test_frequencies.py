@@ -115,6 +115,32 @@ def test_a_doubtful_turn_is_part_of_the_std(share: float) -> None:
     assert std_m[3, 3] == pytest.approx(turn_m * np.sqrt(share), rel=0.01)
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("hz", [(60.24e6, 50.12e6), (100e6, 19.98e6)])
+def test_only_turns_that_surfaces_have_are_asked(hz: tuple[float, ...], seed: int) -> None:
+    """All phases are nearly back after 14.9 m, and 7.5 m, and again up to 200 m."""
+    rng = np.random.default_rng(seed)
+    distance_m = 2.2 + 0.02 * np.arange(40) * np.ones((24, 1))  # from one turn into the next
+    distance_m[6:18, 10:18] = rng.uniform(0.5, 1.5)
+    distance_m[:, 28:32] = rng.uniform(0.5, 2.0)
+    light = np.where(distance_m < 2.2, rng.uniform(0.3, 2.0), 1.0)
+    z = phasors_of(distance_m, hz) * light
+    mixed = np.zeros(distance_m.shape, np.bool_)
+    for col in (9, 17, 27, 31):  # half of either side, each frequency by itself
+        z[:, :, col] = (z[:, :, col - 1] + z[:, :, col + 1]) / 2
+        mixed[:, col] = True
+    sigma = 0.04
+    z += sigma * (rng.standard_normal(z.shape) + 1j * rng.standard_normal(z.shape))
+    tones = Tones(hz, np.angle(z), np.minimum(sigma / np.abs(z), 1.8))
+    slipped = np.abs(tones.alone()[0] - distance_m) > 0.5 * tones.turn_m
+    assert np.mean(slipped[~mixed]) > 0.1
+    found_m, std_m = common_distance(tones)
+    off_m = np.abs(found_m - distance_m)[~mixed]
+    assert off_m.max() < 0.5 * tones.turn_m
+    assert np.mean(off_m < 2 * std_m[~mixed]) > 0.93
+    assert found_m.max() < 5.0
+
+
 TRIPLE_HZ = (100e6, 80e6, 60e6)
 
 

@@ -20,12 +20,12 @@ from lensshift.core.units import SPEED_OF_LIGHT_MPS, within_half_a_turn
 AROUND_HR_PX = 7  # along the window in which surfaces are looked for
 ALIKE = 1.0 / 16.0  # of a turn: what four pixels of one surface may differ by
 FARTHEST_M = 200.0  # no camera that counts turns sees farther
-RELATED = 1.0 / 20.0  # of a turn, over its number: frequencies are multiples of another, or nearly
 SURE = 3.0**2  # chi-square by which a turn is sure: the usual 3 sigma
 CORNER = 3  # neighbours alike, where a surface of four pixels or more ends
 FORBIDDEN = 1e12  # chi-square that no noise reaches
 AROUND = [(row, col) for row in range(3) for col in range(3) if (row, col) != (1, 1)]
 ROUNDS = 8  # in which a turn is told on, by a pixel each
+EM_ROUNDS, SETTLED_PIXELS = 200, 0.1  # until no turn gains or loses more
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,18 +37,11 @@ class Tones:
     hz : [frequency]
     phase_rad : [frequency ...]
     std_rad : same shape, standard deviation of the phases
-    repeat_m : where all phases are back; as `repeats_m` says if it is not told
     """
 
     hz: tuple[float, ...]
     phase_rad: Floats
     std_rad: Floats
-    repeat_m: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not self.repeat_m:
-            usual_rad = np.median(self.std_rad.reshape(len(self.hz), -1), axis=1)
-            object.__setattr__(self, "repeat_m", repeats_m(self.hz, usual_rad))
 
     @property
     def turn_m(self) -> float:
@@ -56,13 +49,18 @@ class Tones:
         return SPEED_OF_LIGHT_MPS / 2.0 / max(self.hz)
 
     def turns(self, low_m: float = 0.0, high_m: float = np.inf) -> range:
-        """Return the turns of the highest frequency that reach from low to high, or so far."""
-        last = math.ceil(min(self.repeat_m, high_m) / self.turn_m - 1e-6)
+        """Return the turns of the highest frequency that reach from low to high.
+
+        After c / (2 gcd f), at most 200 m, all phases are back.
+        """
+        common_hz = max(math.gcd(*(round(hz) for hz in self.hz)), 1)
+        repeat_m = min(SPEED_OF_LIGHT_MPS / 2.0 / common_hz, FARTHEST_M)
+        last = math.ceil(min(repeat_m, high_m) / self.turn_m - 1e-6)
         return range(min(max(math.floor(low_m / self.turn_m), 0), last - 1), last)
 
     def at(self, where: Mask) -> Tones:
         """Return some pixels [row col] of the pictures, [frequency pixel]."""
-        return Tones(self.hz, self.phase_rad[:, where], self.std_rad[:, where], self.repeat_m)
+        return Tones(self.hz, self.phase_rad[:, where], self.std_rad[:, where])
 
     @property
     def sigma_m(self) -> Floats:
@@ -98,20 +96,6 @@ class Tones:
             best_m, least = np.where(cost < least, tried_m, best_m), np.minimum(cost, least)
         return best_m, least, second - least > SURE
 
-    def sees_beyond(self, low_m: Array, high_m: Array) -> Mask:
-        """Return where the lowest frequency sees what is nearer or farther than that, surely.
-
-        Mixed light of it comes from between the surfaces that are mixed, if it has no turns itself.
-        """
-        lowest = int(np.argmin(self.hz))
-        turn_m = SPEED_OF_LIGHT_MPS / 2.0 / self.hz[lowest]
-        if turn_m < self.repeat_m * (1.0 - 1e-6):
-            return np.zeros(low_m.shape, np.bool_)
-        m_per_rad = turn_m / (2.0 * np.pi)
-        seen_m = np.mod(self.phase_rad[lowest], 2.0 * np.pi) * m_per_rad
-        beyond_m = np.maximum(low_m - seen_m, seen_m - high_m)
-        return np.asarray(beyond_m > math.sqrt(SURE) * self.std_rad[lowest] * m_per_rad)
-
     @property
     def rad_per_m(self) -> Floats:
         """4 pi f / c, [frequency ...]."""
@@ -120,36 +104,6 @@ class Tones:
 
     def _weight(self) -> Floats:
         return np.asarray((self.rad_per_m / self.std_rad) ** 2)
-
-
-def repeats_m(hz: tuple[float, ...], std_rad: Floats) -> float:
-    """Return the distance at which all phases are back, nearly; at most 200 m.
-
-        n c / 2f:  |n f_i / f - integer| < 1 / 20n for all i, and less than for less n;  C_n < 9
-
-    Frequencies of a camera have a common divisor, c / (2 gcd f) in distance; but they are told
-    rounded, 80.3 and 60.2 MHz, and then come back a little beside, which no phase can tell.
-    Unrelated ones come as near in 7 % of cases; two that are nearly the same count turns by that.
-
-    Parameters
-    ----------
-    std_rad : [frequency] of the phases of a usual pixel
-
-    Source of the 7 %: Kuzmin (1928), log2(1 + 1/20), the law of continued fractions.
-    """
-    high_hz = max(hz)
-    turn_m = SPEED_OF_LIGHT_MPS / 2.0 / high_hz
-    number = np.arange(1, max(int(FARTHEST_M / turn_m), 1) + 1)
-    share = np.array(hz) / high_hz
-    off = number[:, None] * share - np.rint(number[:, None] * share)
-    weight = 1.0 / np.maximum(std_rad, 1e-9) ** 2
-    more = (off @ (weight * share)) / np.sum(weight * share**2)
-    chi_square = ((2.0 * np.pi * (off - more[:, None] * share)) ** 2) @ weight
-    most = np.abs(off).max(axis=1)
-    nearest = most < np.append(np.inf, np.minimum.accumulate(most)[:-1])
-    nearest[0] = np.ptp(hz) == 0.0
-    back = nearest & (most * number < RELATED) & (chi_square < SURE)
-    return float(min(number[back][0] * turn_m if back.any() else FARTHEST_M, FARTHEST_M))
 
 
 def likelier_order(pictures: Tones) -> tuple[float, ...] | None:
@@ -176,9 +130,9 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     A pixel that is sure and like three around keeps the turn of its own phases. Any other takes
     the one that its phases and those around ask for: all around a turn away are worth 3 sigma. A
     pixel that sees two surfaces has phases of none, fits no turn, and must be among or between the
-    surfaces near it, unless the lowest frequency sees it elsewhere. The variance is what the phases
-    allow, more where they contradict each other, and the square of how far the other turns are, by
-    how likely they are.
+    surfaces near it. Turns that no surface has are not asked. The variance is what phases allow,
+    more where they contradict each other, and the square of how far the other turns are, by how
+    likely they are.
     """
     found_m, least, sure = pictures.alone()
     doubt = np.maximum(least / max(len(pictures.hz) - 1, 1), 1.0)
@@ -189,10 +143,11 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
         return found_m, std_m
     some, half_m = pictures.at(asked), 0.5 * pictures.turn_m
     inside = alike > len(AROUND) // 2
-    seen_m = found_m[inside] if inside.any() else found_m
-    numbers = some.turns(seen_m.min() - half_m, seen_m.max() + half_m)
+    seen_m = _seen_from_to(pictures.at(inside if inside.any() else np.full_like(inside, 1)))
+    numbers = some.turns(seen_m[0] - half_m, seen_m[1] + half_m)
     tried_m, cost = (np.stack(both) for both in zip(*map(some.in_turn, numbers), strict=True))
     cost /= doubt[asked]
+    found_m[asked] = _least(tried_m, cost)
     for _ in range(ROUNDS):
         before_m = found_m[asked]
         total = cost + SURE * _apart_m(tried_m, found_m, asked) / pictures.turn_m
@@ -202,7 +157,6 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     surface = _alike(found_m, pictures.sigma_m, pictures.turn_m) >= CORNER
     low_m, high_m = _reach(found_m, surface, ALIKE * pictures.turn_m)
     beyond_m = np.maximum(low_m[asked] - tried_m, tried_m - high_m[asked])
-    beyond_m[:, some.sees_beyond(low_m[asked], high_m[asked])] = 0.0
     total += FORBIDDEN * np.maximum(beyond_m, 0.0)
     found_m[asked] = _least(tried_m, total)
     likely = np.exp(0.5 * (total.min(axis=0) - total))
@@ -211,6 +165,38 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     others = np.sum(likely * (tried_m - found_m[asked]) ** 2, axis=0)
     std_m[asked] = np.sqrt(some.sigma_m**2 * doubt[asked] * contradiction + others)
     return found_m, std_m
+
+
+def _seen_from_to(some: Tones) -> tuple[float, float]:
+    """Return the least and largest distance in the turns that pixels [pixel] of surfaces have.
+
+        p_n = mean of r_n,   r_n = p_n L_n / sum p L,   L = exp(-C / 2 max(1, min C / (F - 1)))
+
+    Frequencies without a large common divisor have many turns, of which some fit any phases by
+    chance, but each pixel others: how often each occurs is found by maximum likelihood (EM), and
+    less than a pixel is never. Errors of a surface are much the same all over it, so that many
+    pixels are no surer than one: where their median is not sure to be in no nearer turn, it is.
+    """
+    numbers = some.turns()
+    cost = np.stack([some.in_turn(number)[1].astype(np.float32) for number in numbers])
+    least = cost.min(axis=0)
+    doubt = np.maximum(least / max(len(some.hz) - 1, 1), 1.0)
+    fits = np.exp((least - cost) / (2.0 * doubt))
+    often: Floats = np.full(len(numbers), 1.0 / len(numbers))
+    for _ in range(EM_ROUNDS):
+        before = often
+        often = often * (fits @ (1.0 / (often @ fits))) / least.size
+        if least.size * np.abs(often - before).max() < SETTLED_PIXELS:
+            break
+    often[least.size * often < 1.0] = 0.0
+    number = np.argmax(often[:, None] * fits, axis=0)
+    for n in range(len(numbers) - 1, 0, -1):
+        own = np.flatnonzero(number == n)
+        more = (cost[:n, own].min(axis=0) - cost[n, own]) / doubt[own]
+        if own.size and np.median(more) < SURE:
+            number[own] = np.argmin(cost[:n, own], axis=0)
+    seen_m = np.concatenate([some.at(number == n).in_turn(numbers[n])[0] for n in set(number)])
+    return float(seen_m.min()), float(seen_m.max())
 
 
 def _alike(distance_m: Array, sigma_m: Array, turn_m: float) -> NDArray[np.int_]:
