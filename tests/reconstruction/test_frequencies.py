@@ -29,12 +29,7 @@ from lensshift.evaluation import depth_error
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.prediction import FramePredictor, phasor_predictors
 from lensshift.io import export_burst, load_image_stack
-from lensshift.reconstruction.phasor.frequencies import (
-    Tones,
-    common_distance,
-    likelier_order,
-    repeats_m,
-)
+from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, contradiction
 from lensshift.scene import Cuboid, Plane, Scene
 
 OFFSETS = [(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)]
@@ -373,4 +368,27 @@ def test_phases_that_fit_in_no_order_name_none(seed: int) -> None:
     rng = np.random.default_rng(seed)
     hz = (100e6, 80e6, 60e6)
     phase = rng.uniform(-np.pi, np.pi, (3, 20, 30))
-    assert likelier_order(Tones(hz, phase, np.full(phase.shape, 0.02))) is None
+    said = contradiction(Tones(hz, phase, np.full(phase.shape, 0.02)))
+    assert "no distance (chi-square" in said
+    assert "order" not in said
+
+
+@pytest.mark.parametrize("hz", [PAIR_HZ, (80e6, 60e6), (60e6, 80e6, 100e6)])
+@pytest.mark.parametrize("seed", range(3))
+def test_phases_that_contradict_each_other_are_told(hz: tuple[float, ...], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    distance_m = 3.0 + 0.05 * np.arange(30) + 0.02 * rng.standard_normal((20, 30))
+    distance_m[5:12, 8:17] = rng.uniform(1.0, 2.5)
+    phase = distance_to_phase(1.0, 1.0) * np.array(hz)[:, None, None] * distance_m
+    phase += 0.02 * rng.standard_normal(phase.shape)
+    std_rad = np.full(phase.shape, 0.02)
+    assert contradiction(Tones(hz, phase, std_rad)) == ""
+    sign = np.where(np.arange(len(hz)) == seed % len(hz), -1.0, 1.0)[:, None, None]
+    said = contradiction(Tones(hz, sign * phase, std_rad))
+    name = f"{hz[seed % 3]:g}" if len(hz) > 2 else "one of"
+    assert f"those of {name}" in said
+    assert "run backwards: give the conjugate" in said
+    off = contradiction(Tones(hz, phase + 0.6 * (sign < 0), std_rad))
+    assert "are its phases not calibrated" in off
+    told = (hz[0] * 1.1, *hz[1:])
+    assert "is a frequency another one" in contradiction(Tones(told, phase, std_rad))

@@ -28,7 +28,7 @@ from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.phasors import NO_PHASE_RAD
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
-from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, likelier_order
+from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, contradiction
 from lensshift.reconstruction.phasor.reach import within_reach
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
@@ -100,14 +100,8 @@ def _agreed(hz: tuple[float, ...], each: list[PhasorResult], request: Request) -
         np.stack([one.distance_m.image for one in each]) * per_m,
         np.stack([np.asarray(one.distance_m.std) for one in each]) * per_m,
     )
-    if (order := likelier_order(pictures)) is not None:
-        meant, told = (", ".join(f"{one:g}" for one in some) for some in (order, hz))
-        warnings.warn(
-            f"the phases of the frequencies fit no distance in the order of modulation_hz, {told} "
-            f"Hz, but do in another: is phasors [frequency frame row col] in that of {meant} Hz?",
-            QualityWarning,
-            stacklevel=5,
-        )
+    if said := contradiction(pictures):
+        warnings.warn(said, QualityWarning, stacklevel=5)
     distance_m, std_m = common_distance(pictures)
     highest = each[int(np.argmax(hz))]
     fine_m = highest.distance_m.fine

@@ -8,7 +8,7 @@ few pixels are mixed: pixels that know it tell those that do not.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
@@ -106,20 +106,52 @@ class Tones:
         return np.asarray((self.rad_per_m / self.std_rad) ** 2)
 
 
-def likelier_order(pictures: Tones) -> tuple[float, ...] | None:
-    """Return the frequencies in another order if most pixels fit that far better, else None.
+def contradiction(pictures: Tones) -> str:
+    """Say why most phases fit no distance, as far as another reading of them does; or "".
 
-    Phases of another frequency than they are told to be of fit no distance.
+    Phases of another frequency than they are told to be of, or that run backwards, fit none.
     """
-
-    def cost(hz: tuple[float, ...]) -> float:
-        return float(np.median(Tones(hz, pictures.phase_rad, pictures.std_rad).alone()[1]))
-
-    given = cost(pictures.hz)
+    given = _typical_chi_square(pictures)
     if given < SURE:
-        return None
-    best = min(permutations(pictures.hz), key=cost)
-    return best if cost(best) < given / SURE else None
+        return ""
+    told = _names(pictures.hz)
+    readings = [
+        (
+            replace(pictures, hz=order),
+            f"the phases of the frequencies fit no distance in the order of modulation_hz, {told} "
+            f"Hz, but do in another: is phasors [frequency frame row col] in that of "
+            f"{_names(order)} Hz?",
+        )
+        for order in permutations(pictures.hz)
+        if order != pictures.hz
+    ]
+    for number, hz in enumerate(pictures.hz):
+        sign = np.where(np.arange(len(pictures.hz)) == number, -1.0, 1.0)[:, None, None]
+        one = f"{hz:g}" if len(pictures.hz) > 2 else f"one of {told}"
+        readings.append(
+            (
+                replace(pictures, phase_rad=sign * pictures.phase_rad),
+                f"the phases of {told} Hz fit no distance, but do if those of {one} Hz run "
+                "backwards: give the conjugate of its phasors, so that phases grow with distance",
+            )
+        )
+    costs = [_typical_chi_square(reading) for reading, _ in readings]
+    best = int(np.argmin(costs))
+    if costs[best] < min(SURE, given / SURE):
+        return readings[best][1]
+    return (
+        f"the phases of {told} Hz fit no distance (chi-square {given:.3g}, by the noise "
+        f"{max(len(pictures.hz) - 1, 1)}): is a frequency another one, or are its phases not "
+        "calibrated (an offset, other light that took part)? Distances may be turns off"
+    )
+
+
+def _names(some_hz: tuple[float, ...]) -> str:
+    return ", ".join(f"{hz:g}" for hz in some_hz)
+
+
+def _typical_chi_square(pictures: Tones) -> float:
+    return float(np.median(pictures.alone()[1]))
 
 
 def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
