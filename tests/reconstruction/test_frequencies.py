@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lensshift import (
     Burst,
+    Status,
     load_burst,
     load_reconstruction,
     reconstruct,
@@ -29,7 +30,7 @@ from lensshift.evaluation import depth_error
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.prediction import FramePredictor, phasor_predictors
 from lensshift.io import export_burst, load_image_stack
-from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, contradiction
+from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, doubt_about_phases
 from lensshift.scene import Cuboid, Plane, Scene
 
 OFFSETS = [(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)]
@@ -368,7 +369,7 @@ def test_phases_that_fit_in_no_order_name_none(seed: int) -> None:
     rng = np.random.default_rng(seed)
     hz = (100e6, 80e6, 60e6)
     phase = rng.uniform(-np.pi, np.pi, (3, 20, 30))
-    said = contradiction(Tones(hz, phase, np.full(phase.shape, 0.02)))
+    said = doubt_about_phases(Tones(hz, phase, np.full(phase.shape, 0.02)))
     assert "no distance (chi-square" in said
     assert "order" not in said
 
@@ -382,13 +383,31 @@ def test_phases_that_contradict_each_other_are_told(hz: tuple[float, ...], seed:
     phase = distance_to_phase(1.0, 1.0) * np.array(hz)[:, None, None] * distance_m
     phase += 0.02 * rng.standard_normal(phase.shape)
     std_rad = np.full(phase.shape, 0.02)
-    assert contradiction(Tones(hz, phase, std_rad)) == ""
+    assert doubt_about_phases(Tones(hz, phase, std_rad)) == ""
     sign = np.where(np.arange(len(hz)) == seed % len(hz), -1.0, 1.0)[:, None, None]
-    said = contradiction(Tones(hz, sign * phase, std_rad))
+    said = doubt_about_phases(Tones(hz, sign * phase, std_rad))
     name = f"{hz[seed % 3]:g}" if len(hz) > 2 else "one of"
     assert f"those of {name}" in said
     assert "run backwards: give the conjugate" in said
-    off = contradiction(Tones(hz, phase + 0.6 * (sign < 0), std_rad))
+    off = doubt_about_phases(Tones(hz, phase + 0.6 * (sign < 0), std_rad))
     assert "are its phases not calibrated" in off
     told = (hz[0] * 1.1, *hz[1:])
-    assert "is a frequency another one" in contradiction(Tones(told, phase, std_rad))
+    assert "is a frequency another one" in doubt_about_phases(Tones(told, phase, std_rad))
+
+
+@pytest.mark.parametrize("moved", [0, 1])
+def test_what_one_frequency_contradicts_is_told(moved: int) -> None:
+    """Frequencies are taken one after another: something is there in two frames of one alone."""
+    rng, hz = np.random.default_rng(moved), PAIR_HZ
+    row, col = np.mgrid[:24, :36]
+    z = phasors_of(np.full((4, 24, 36), 4.5), hz) * (1 + 0.2 * np.sin(0.9 * row + 0.6 * col))
+    z[moved, 2:, 8:15, 12:20] = phasors_of(np.array(2.6), hz)[moved]
+    z += 2e-3 * (rng.standard_normal(z.shape) + 1j * rng.standard_normal(z.shape))
+    burst = Burst.from_arrays(z, offset_px=np.zeros((4, 2)), pitch_mm=0.1, modulation_hz=hz)
+    with pytest.warns(QualityWarning, match="moved"):
+        result = reconstruct(burst)
+    distance = result["distance"]
+    assert distance.status is Status.CONTRADICTED
+    assert "contradiction" in distance.notes
+    assert distance.misfit is not None
+    assert np.median(distance.misfit[18:28, 26:38]) > 10

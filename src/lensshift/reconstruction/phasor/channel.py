@@ -14,7 +14,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Burst, Estimate
+from lensshift.core.types import Burst, Estimate, Status
 from lensshift.core.units import PhaseScale, distance_to_phase
 from lensshift.forward.prediction import (
     FramePredictor,
@@ -28,7 +28,7 @@ from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.phasors import NO_PHASE_RAD
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
-from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, contradiction
+from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, doubt_about_phases
 from lensshift.reconstruction.phasor.reach import within_reach
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
@@ -93,14 +93,18 @@ def reconstruct_phasor(
 
 
 def _agreed(hz: tuple[float, ...], each: list[PhasorResult], request: Request) -> PhasorResult:
-    """Return the amplitude of the highest frequency, and the distance that fits all of them."""
+    """Return the amplitude of the highest frequency, and the distance that fits all of them.
+
+    Where the frames of another one contradict their picture, that is said and shown of the
+    distance: what is wrong with one is wrong with all.
+    """
     per_m = distance_to_phase(1.0, 1.0) * np.asarray(hz)[:, None, None]
     pictures = Tones(
         hz,
         np.stack([one.distance_m.image for one in each]) * per_m,
         np.stack([np.asarray(one.distance_m.std) for one in each]) * per_m,
     )
-    if said := contradiction(pictures):
+    if said := doubt_about_phases(pictures):
         warnings.warn(said, QualityWarning, stacklevel=5)
     distance_m, std_m = common_distance(pictures)
     highest = each[int(np.argmax(hz))]
@@ -109,13 +113,20 @@ def _agreed(hz: tuple[float, ...], each: list[PhasorResult], request: Request) -
         times = fine_m.shape[0] // distance_m.shape[0]
         near_m = distance_m.repeat(times, axis=0).repeat(times, axis=1)
         fine_m = in_turn_of(fine_m, near_m, max(hz))
-    notes = dict(highest.distance_m.notes) | {"modulation_hz": list(hz)}
+    doubted = [one.distance_m for one in each if one.distance_m.status is Status.CONTRADICTED]
+    shown = highest.distance_m
+    if doubted and shown.status is not Status.CONTRADICTED:
+        shown = doubted[0]
+    notes = dict(shown.notes) | {"modulation_hz": list(hz)}
     distance = replace(
         highest.distance_m,
         image=distance_m,
         fine=fine_m,
         uncertainty=std_m if request.std else None,
         notes=notes,
+        status=shown.status,
+        misfit=shown.misfit,
+        confidence=shown.confidence,
     )
     amplitude = highest.amplitude if request.std else replace(highest.amplitude, uncertainty=None)
     seen = highest.distance_m.predict

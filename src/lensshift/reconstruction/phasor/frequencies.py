@@ -106,7 +106,7 @@ class Tones:
         return np.asarray((self.rad_per_m / self.std_rad) ** 2)
 
 
-def contradiction(pictures: Tones) -> str:
+def doubt_about_phases(pictures: Tones) -> str:
     """Say why most phases fit no distance, as far as another reading of them does; or "".
 
     Phases of another frequency than they are told to be of, or that run backwards, fit none.
