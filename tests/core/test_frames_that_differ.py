@@ -45,7 +45,10 @@ def test_another_exposure_is_told_with_its_frame() -> None:
     frames[2] *= 1.5
     said = unequal_brightness(frames)
     assert f"{frames[2].mean():.4g} in frame 2" in said
-    assert unequal_brightness(frames * np.exp(0.3j)) == said
+    of_phasors, advice, cure = said.partition(", or have gain and bias estimated")
+    assert advice
+    assert "photometric=True" in cure
+    assert unequal_brightness(frames * np.exp(0.3j)) == of_phasors  # of which no gain is estimated
     valid = np.ones(frames.shape, np.bool_)
     valid[2, 3:] = False  # of which too little is left to compare
     assert unequal_brightness(frames, valid) == ""

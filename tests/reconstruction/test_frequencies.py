@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -411,3 +412,28 @@ def test_what_one_frequency_contradicts_is_told(moved: int) -> None:
     assert "contradiction" in distance.notes
     assert distance.misfit is not None
     assert np.median(distance.misfit[18:28, 26:38]) > 10
+
+
+@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("gain", [1.2, 2.0])
+def test_exposures_of_phasors_have_a_cure_that_works(gain: float, several: bool) -> None:
+    """Photometric estimation is of real frames: it was the advice, and an error."""
+    rng, (row, col) = np.random.default_rng(0), np.mgrid[:16, :24]
+    distance_m = np.where(abs(col - 12) < 5, 2.0, 4.0) * np.ones((4, 1, 1))
+    z = phasors_of(distance_m, PAIR_HZ) * (1 + 0.2 * np.sin(0.9 * row + 0.6 * col))
+    z += 1e-3 * (rng.standard_normal(z.shape) + 1j * rng.standard_normal(z.shape))
+    exposure = np.array([1.0, gain, 1.0, 1.0])[:, None, None]
+
+    def said(phasors: NDArray[np.complex128]) -> str:
+        frames, hz = (phasors, PAIR_HZ) if several else (phasors[1], PAIR_HZ[1])
+        burst = Burst.from_arrays(frames, offset_px=np.zeros((4, 2)), modulation_hz=hz)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            reconstruct(burst)
+        return "; ".join(str(one.message) for one in caught)
+
+    assert said(z) == ""
+    told = said(z * exposure)
+    assert "ivide" in told
+    assert "exposure" in told
+    assert several or "photometric" not in told

@@ -133,11 +133,13 @@ def unequal_brightness(frames: Array, valid: Mask | None = None) -> str:
     if not np.ptp(mean) > OTHER_LIGHT * np.median(spread):
         return ""
     dark, bright = (int(numbers[pick(mean)]) for pick in (np.argmin, np.argmax))
-    return (
+    said = (
         f"the brightness of the frames differs: {mean.min():.4g} on average in frame {dark}, "
-        f"{mean.max():.4g} in frame {bright}. Divide them by their exposure, or have gain and bias "
-        "of real frames estimated: photometric=True (--photometric)"
+        f"{mean.max():.4g} in frame {bright}. Divide them by their exposure"
     )
+    if frames.dtype.kind == "c":  # of which no gain can be estimated
+        return said
+    return f"{said}, or have gain and bias estimated: photometric=True (--photometric)"
 
 
 def colour_mosaic(frames: Array, valid: Mask | None = None) -> str:

@@ -27,6 +27,7 @@ from lensshift.reconstruction.learned.method import solved
 from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.phasors import NO_PHASE_RAD
 from lensshift.reconstruction.method import Request
+from lensshift.reconstruction.misfit import ESTIMATED
 from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, doubt_about_phases
 from lensshift.reconstruction.phasor.reach import within_reach
@@ -43,6 +44,8 @@ AMPLITUDE_STD_SCALE = 0.74
 FLYING_SHARE = 0.2
 FLYING_STEP = 0.05  # of the distance: smaller steps are no edges
 FLYING_SIGMAS = 3.0
+# Gains are estimated of real frames, which costs the distance where there are but phasors.
+DIVIDED = "divide amplitudes, or phasors, by the exposure of their frame"
 LEAST_STEP_M = 1e-6  # rounding of a distance
 
 
@@ -153,10 +156,13 @@ def _one_frequency(
     settled, phase_rad = settle_turns(frames, typical * problem.intensity), np.angle(found.image)
     phase_rad = nearest_turns(phase_rad, settled, used, problem.offset_px, problem.scale)
     _warn_of_turns(frames, settled, used)
+    notes = dict(found.notes)
+    if "contradiction" in notes:
+        notes["contradiction"] = notes["contradiction"].replace(ESTIMATED, DIVIDED)
     estimate = replace(
         found,
         noise_sigma=typical,
-        notes=dict(found.notes)
+        notes=notes
         | {
             "channel": "phasor",
             "modulation_hz": frames.scale.modulation_hz,
