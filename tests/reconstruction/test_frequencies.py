@@ -31,7 +31,12 @@ from lensshift.evaluation import depth_error
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.prediction import FramePredictor, phasor_predictors
 from lensshift.io import export_burst, load_image_stack
-from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, doubt_about_phases
+from lensshift.reconstruction.phasor.frequencies import (
+    Tones,
+    common_distance,
+    doubt_about_phases,
+    repeats_m,
+)
 from lensshift.scene import Cuboid, Plane, Scene
 
 OFFSETS = [(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)]
@@ -128,7 +133,7 @@ def test_only_turns_that_surfaces_have_are_asked(hz: tuple[float, ...], seed: in
         mixed[:, col] = True
     sigma = 0.04
     z += sigma * (rng.standard_normal(z.shape) + 1j * rng.standard_normal(z.shape))
-    tones = Tones(hz, np.angle(z), np.minimum(sigma / np.abs(z), 1.8))
+    tones = Tones(hz, np.angle(z), np.minimum(sigma / np.abs(z), 1.8), repeat_m=200.0)
     slipped = np.abs(tones.alone()[0] - distance_m) > 0.5 * tones.turn_m
     assert np.mean(slipped[~mixed]) > 0.1
     found_m, std_m = common_distance(tones)
@@ -181,10 +186,10 @@ def test_a_pixel_that_takes_the_turn_of_its_neighbours_may_contradict_itself(
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("turns", [-1, 1, 3])
 def test_a_lone_pixel_is_never_beyond_the_surfaces_around_it(turns: int, seed: int) -> None:
-    """However sure it is of its turn, where no frequency tells turns by itself."""
+    """However sure it is of its turn, where no frequency tells so far by itself."""
     hz, rng = (300e6, 36e6), np.random.default_rng(seed)
     tones = Tones(hz, *np.zeros((2, 2, 1)))
-    distance_m = np.where(np.arange(14) < 6, 2.0, 2.1) * np.ones((9, 1))
+    distance_m = np.where(np.arange(14) < 6, 4.5, 4.6) * np.ones((9, 1))
     at = (int(rng.integers(2, 7)), int(rng.integers(3, 11)))
     distance_m[at] += turns * tones.turn_m
     phase_rad = distance_to_phase(1.0, 1.0) * np.array(hz)[:, None, None] * distance_m
