@@ -20,6 +20,7 @@ from lensshift.reconstruction import stream
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
 from lensshift.reconstruction.following import View
 from lensshift.reconstruction.learned.phasors import LOW_PASS_PX
+from lensshift.reconstruction.places import Known
 
 SHAPE, SCALE = (21, 26), 2
 SQUARE_PX = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, 0.25), (0.25, -0.25)])
@@ -233,6 +234,58 @@ def test_lost_frames_are_noticed():
         found = run(one, clean, 4, sigma=0.02, rng=rng, first=10)  # two are missing
     assert [result.settings["event"] for result in found] == ["frames lost", None, None, None]
     assert all(error(result, truth) < 1.2 * usual for result in found)
+
+
+def quiet_steps(one, frames):
+    """Return the last frame's place after each step, and what was said to have happened."""
+    at, events = [], []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        for y in frames:
+            events.append(one.step(y).settings["event"])
+            at.append(one.frames[-1])
+    return at, events
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_camera_that_was_knocked_loses_no_frames(seed):
+    """Its first frames may fit elsewhere on the plan; all pictures a round later are right."""
+    rng = np.random.default_rng(seed)
+    truth, knock_px = scene(seed).truth, rng.uniform(0.3, 1.2, 2) * rng.choice([-1, 1], 2)
+    before, after = clean_frames(truth), clean_frames(truth, SQUARE_PX + knock_px)
+    frames = [before[k % 4] for k in range(9)] + [after[k % 4] for k in range(9, 23)]
+    one = camera()
+    at, events = quiet_steps(one, [y + 0.01 * rng.standard_normal(SHAPE) for y in frames])
+    assert at[13:] == [k % 4 for k in range(13, 23)]
+    assert "frames lost" not in events[13:]
+
+
+@pytest.mark.parametrize("lost", [1, 2, 3])
+@pytest.mark.parametrize("phase", [0.3, 2.0])
+def test_lost_frames_of_a_smooth_scene_are_noticed_by_all_pixels(lost, phase):
+    """Of a wave of 20 px, no pixel of which contradicts."""
+    r, c = np.indices((2 * SHAPE[0], 2 * SHAPE[1])) / 2
+    truth = 10 + np.sin(2 * np.pi * r / 20 + phase) + np.sin(2 * np.pi * (c + r / 3) / 20)
+    rng, clean = np.random.default_rng(lost), clean_frames(truth)
+    order = [*range(9), *range(9 + lost, 17 + lost)]
+    frames = [clean[k % 4] + 0.02 * rng.standard_normal(SHAPE) for k in order]
+    at, events = quiet_steps(camera(), frames)
+    assert at == [k % 4 for k in order]
+    assert [k for k, event in enumerate(events) if event] == [9]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_moves_before_a_smooth_scene_loses_no_frames(seed):
+    rng = np.random.default_rng(seed)
+    r, c = np.indices((2 * SHAPE[0], 2 * SHAPE[1])) / 2
+    waves = 10 + np.sin(2 * np.pi * r / 20) + np.sin(2 * np.pi * (c + r / 3) / 20)
+    frames = []
+    for k in range(24):
+        truth, row, col = waves.copy(), 8 + 3 * seed, int(4 + 1.5 * max(k - 8, 0))
+        truth[row : row + 6, col : col + 6] = 14
+        frames.append(clean_frames(truth)[k % 4] + 0.02 * rng.standard_normal(SHAPE))
+    at, _ = quiet_steps(camera(), frames)
+    assert at == [k % 4 for k in range(24)]
 
 
 @pytest.mark.parametrize("full", [False, True])
@@ -498,7 +551,7 @@ def known(expected, noise):
     light = Estimate(expected, noise_sigma=noise, predict=predict)
     found = Reconstruction(light, None, Grid(expected.shape, (1.0, 1.0)), 1, "auto")
     frame = Frame(expected, None, np.ones(expected.shape, bool), 0.0)
-    return stream._Known(found, {2: frame}, found)
+    return Known(found, {2: frame}, found)
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (14, 2), (3, 9)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,25 +12,16 @@ from numpy.typing import ArrayLike
 from lensshift.core.burst_checks import all_valid
 from lensshift.core.defects import blank_frames
 from lensshift.core.errors import QualityWarning
-from lensshift.core.local_means import mean_around
-from lensshift.core.types import Burst, Frame, Reconstruction, Status
-from lensshift.reconstruction.following import View, following, views_of
+from lensshift.core.types import Burst, Frame, Reconstruction
+from lensshift.reconstruction.following import following
 from lensshift.reconstruction.method import Method
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import one_of
+from lensshift.reconstruction.places import BETTER_PLACE, MOST, RESTS, Claim, Known
 from lensshift.reconstruction.reconstruct import reconstruct
 
 Pace = Literal["auto", "live", "refined"]
 
-# A frame is of another scene where most pixels are farther from the picture than noise and shifts
-# explain (`misfit.LIMIT` is that of a solved burst).
-CONTRADICTS, MOST = 4.0, 0.5
-# With more than this part of the pixels something moves. Noise alone has a mean of nine squares
-# beyond four variances at 4e-5 of them.
-RESTS = 0.001
-# A frame was taken elsewhere on the plan if there it contradicts in less than this part of where it
-# does at its own place: what moved contradicts at all of them.
-BETTER_PLACE = 0.5
 # Rounds of the plan after which all is computed anew, so that nothing drifts.
 REFINED_ROUNDS = 1
 # Of the pictures of a scene that rests, so many are computed by the response and the shifts that
@@ -46,11 +37,12 @@ class Stream:
         self._template, self._scale, self._pace = template, scale, pace
         self._settings = settings
         self._frames: dict[int, Frame] = {}
-        self._known: _Known | None = None
+        self._known: Known | None = None
         self._next = self._since_refined = self._since_asked = 0
         self._contradicted = 0  # pictures computed one after the other that their frames contradict
         self._event: str | None = None
         self._rests = True
+        self._claim: Claim | None = None
 
     @property
     def window(self) -> Burst:
@@ -110,6 +102,10 @@ class Stream:
         at, event, rests = self._placed(one, place, shows)
         if event == "scene changed":
             self._frames.clear()
+            if self._claim is not None:  # what it placed elsewhere is of after the change
+                self._frames.update(self._claim.frames)
+        if event == "scene changed" or place is not None or not shows:
+            self._claim = None
         self._rests = self._rests and rests and len(self._frames) == self._template.frame_count
         self._frames.pop(at, None)
         if shows:
@@ -141,8 +137,8 @@ class Stream:
             before = self._believed() if rests else None
             self._since_asked = 0 if before is None else self._since_asked + 1
             found = reconstruct(self.window, self._scale, streamed=before or True, **self._settings)
-            self._known = _Known(found, dict(self._frames), found)
             wrong = any("contradiction" in one.notes for one in found.channels.values())
+            self._known = Known(found, dict(self._frames), found)
             self._contradicted = self._contradicted + 1 if wrong else 0
             self._since_refined, live = 0, False
         event, self._event, self._rests = self._event, None, True
@@ -154,9 +150,8 @@ class Stream:
         known = self._known
         if known is None or self._since_asked + 1 >= BELIEVED_PICTURES:
             return None
-        channels = known.solved.channels.values()
-        held = all(one.status is not Status.CONTRADICTED for one in channels)
-        return known.solved if held and len(known.frames) == self._template.frame_count else None
+        whole = len(known.frames) == self._template.frame_count
+        return known.solved if known.fits and whole else None
 
     def _placed(self, frame: Frame, place: int | None, shows: bool) -> tuple[int, str | None, bool]:
         """Return where a frame was taken, what happened, and whether the scene rests."""
@@ -170,17 +165,28 @@ class Stream:
         known = self._known
         if known is None or at not in self._frames or at not in known.frames:
             return at, None, False  # what nobody saw may be anything
+        if place is None and self._claim is not None:
+            true = self._claim.tells(frame, at)
+            if true is False:
+                self._warn("no frames were lost, but the camera moved: all before is left out")
+                return self._claim.counted, "scene changed", False
+            self._claim = None if true else self._claim.also(frame)
         changed, share = known.against(frame, at)
-        if share <= RESTS:
+        asked = place is None and len(known.frames) == count > 1
+        best = known.nearest(frame, at) if asked and known.fits else at
+        if best == at and share <= RESTS:
             if self._pace != "refined":
                 self._known = replace(known, latest=following(known.latest, changed))
             return at, None, True
-        if place is None and len(known.frames) == count > 1:
-            others = {k: known.against(frame, k)[1] for k in known.frames if k != at}
-            best = min(others, key=others.__getitem__)
-            if others[best] < BETTER_PLACE * share:
-                self._warn(f"frames were lost: the one after place {self._next} is of {best}")
-                return best, "frames lost", False
+        if asked and share > RESTS and (best != at or not known.fits):
+            others = {k: known.against(frame, k, elsewhere=True)[1] for k in known.frames}
+            others[at] = BETTER_PLACE * share
+            asked_of = (at, best) if known.fits else others
+            best = min(asked_of, key=others.__getitem__)
+        if best != at:
+            self._warn(f"frames were lost: the one after place {self._next} is of {best}")
+            self._claim = self._claim or Claim(known, {}, at).also(frame)
+            return best, "frames lost", False
         if share > MOST:
             self._warn("the scene changed: what was seen before is left out")
             return at, "scene changed", False
@@ -188,42 +194,6 @@ class Stream:
 
     def _warn(self, text: str) -> None:
         warnings.warn(text, QualityWarning, stacklevel=4)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Known:
-    """A picture that was computed, and what became of it.
-
-    Parameters
-    ----------
-    solved : as it was computed
-    frames : of which, by their places
-    latest : as it followed the frames since
-    left : of places, what the picture leaves of their frames
-    """
-
-    solved: Reconstruction
-    frames: dict[int, Frame]
-    latest: Reconstruction
-    left: dict[int, dict[str, View]] = field(default_factory=dict)
-
-    def against(self, frame: Frame, at: int) -> tuple[dict[str, View], float]:
-        """Return what changed since the frame of that place, and what share contradicts.
-
-        By more than that frame did, of which the picture is, and than light that flickers does.
-        """
-        number = sorted(self.frames).index(at)
-        if at not in self.left:
-            self.left[at] = views_of(self.solved, self.frames[at], number)
-        views, left = views_of(self.latest, frame, number), self.left[at]
-        changed = {name: one.since(left[name]) for name, one in views.items() if name in left}
-        if not changed:  # as of a frame without distances
-            return {}, MOST
-        name, first = next(iter(changed.items()))
-        squares = views[name].without(first.change).squares
-        around = mean_around(squares / (first.variance + mean_around(left[name].squares, 3)), 3)
-        inner = (slice(1, -1), slice(1, -1)) if min(around.shape) > 2 else (slice(None),) * 2
-        return changed, float(np.mean(around[inner] > CONTRADICTS))
 
 
 def stream(

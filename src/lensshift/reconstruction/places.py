@@ -1,0 +1,151 @@
+"""Of which place of a plan a frame is, and whether the scene of a picture still rests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from lensshift.core.local_means import mean_around
+from lensshift.core.types import Frame, Reconstruction, Status
+from lensshift.reconstruction.following import MOST_SIGMAS, View, views_of
+
+# A frame is of another scene where most pixels are farther from the picture than noise and shifts
+# explain (`misfit.LIMIT` is that of a solved burst).
+CONTRADICTS, MOST = 4.0, 0.5
+# With more than this part of the pixels something moves. Noise alone has a mean of nine squares
+# beyond four variances at 4e-5 of them.
+RESTS = 0.001
+# A frame was taken elsewhere on the plan if there it contradicts in less than this part of where it
+# does at its own place: what moved contradicts at all of them.
+BETTER_PLACE = 0.5
+# What a smooth scene contradicts nowhere says its place by all of its pixels together: it lies
+# three quarters of the way, and nine times the noise of that way, from where it is expected.
+NEARER, WAY_SIGMAS = 0.75, 12.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """A picture that was computed, and what became of it.
+
+    Parameters
+    ----------
+    solved : as it was computed
+    frames : of which, by their places
+    latest : as it followed the frames since
+    left : of places, what the picture leaves of their frames
+    """
+
+    solved: Reconstruction
+    frames: dict[int, Frame]
+    latest: Reconstruction
+    left: dict[int, dict[str, View]] = field(default_factory=dict)
+
+    @property
+    def fits(self) -> bool:
+        """Whether its frames do not contradict it."""
+        channels = self.solved.channels.values()
+        return all(one.status is not Status.CONTRADICTED for one in channels)
+
+    def against(
+        self, frame: Frame, at: int, *, elsewhere: bool = False
+    ) -> tuple[dict[str, View], float]:
+        """Return what changed since the frame of that place, and what share contradicts.
+
+        By more than that frame did, of which the picture is, and than light that flickers does.
+        Of a place that is not the frame's own (`elsewhere`) the picture has to explain all: a frame
+        that did not fit there, after a knock, would speak for the next ones.
+        """
+        views, left = views_of(self.latest, frame, self._number(at)), self._left(at)
+        changed = {name: one.since(left[name]) for name, one in views.items() if name in left}
+        if not changed:  # as of a frame without distances
+            return {}, MOST
+        name, first = next(iter(changed.items()))
+        squares = views[name].without(first.change).squares
+        allowed = first.variance
+        if self.fits or not elsewhere:
+            allowed = allowed + mean_around(left[name].squares, 3)
+        around = mean_around(squares / allowed, 3)
+        inner = (slice(1, -1), slice(1, -1)) if min(around.shape) > 2 else (slice(None),) * 2
+        return changed, float(np.mean(around[inner] > CONTRADICTS))
+
+    def nearest(self, frame: Frame, at: int) -> int:
+        """Return the place that a frame is of, `at` unless all of its pixels together say another.
+
+            t = <r, d> / |d|^2,   r the frame less what is expected at `at`, d that of the other
+
+        A frame of the other place has t = 1 and leaves nothing, light that changes t = 0, and a
+        camera that was knocked more than there was.
+        """
+        views = views_of(self.solved, frame, self._number(at))
+        name = next(iter(views), None)
+        if name is None or name not in self._left(at):
+            return at
+        here, before, best, nearest = views[name], self._left(at)[name], np.inf, at
+        least = (WAY_SIGMAS * here.noise_sigma) ** 2
+        if float(np.sum(here.squares - before.squares)) <= least * (NEARER - 0.5):
+            return at  # by t > 3 / 4 it would leave more than the frame of before
+        for k in self.frames:
+            other = self._left(k).get(name)
+            if k == at or other is None:
+                continue
+            there = replace(here, rest=here.rest - (other.seen - here.seen))
+            fits = np.minimum(here.squares / here.variance, there.squares / other.variance)
+            of = here.valid & other.valid & (fits <= MOST_SIGMAS**2)  # what moved fits neither
+            way = np.where(here.valid & other.valid, other.seen - here.seen, 0)
+            whole = float(np.sum(np.abs(way) ** 2))
+            length = float(np.sum(np.abs(way[of]) ** 2))
+            if length <= max(least, NEARER * whole):
+                continue
+            t = float(np.sum((here.rest * way.conj()).real[of])) / length
+            more = float(np.sum(here.squares[of] - before.squares[of]))
+            left = float(np.sum(there.squares[of] - other.squares[of]))
+            if t > NEARER and left < min(best, (1 - NEARER) * more):
+                best, nearest = left, k
+        return nearest
+
+    def _number(self, at: int) -> int:
+        return sorted(self.frames).index(at)
+
+    def _left(self, at: int) -> dict[str, View]:
+        if at not in self.left:
+            self.left[at] = views_of(self.solved, self.frames[at], self._number(at))
+        return self.left[at]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Claim:
+    """That frames were lost, as says a frame that fits elsewhere; the next one tells.
+
+    A camera that was knocked does the same: its next frame is no better where the claim expects it.
+
+    Parameters
+    ----------
+    known : the picture before
+    frames : that spoke for it, by their places if none was lost
+    counted : the place of the next one if none was lost
+    """
+
+    known: Known
+    frames: dict[int, Frame]
+    counted: int
+
+    def also(self, frame: Frame) -> Claim:
+        """Return the claim with a frame that speaks for it."""
+        frames = self.frames | {self.counted: frame}
+        return replace(self, frames=frames, counted=(self.counted + 1) % len(self.known.frames))
+
+    def tells(self, frame: Frame, at: int) -> bool | None:
+        """Return whether the next frame is where the claim expects it; None: it does not say.
+
+        As one after another loss does not. Nothing loses frames for a whole round.
+        """
+        if len(self.frames) == len(self.known.frames):
+            return False
+        shares = {k: self.known.against(frame, k, elsewhere=True)[1] for k in self.known.frames}
+        nearest = self.known.nearest(frame, self.counted)
+        if nearest == at or RESTS < shares[self.counted] * BETTER_PLACE >= shares[at]:
+            return True
+        if max(shares[at], shares[self.counted]) <= RESTS:
+            return False if nearest == self.counted else None
+        return None if min(shares.values()) <= RESTS else False
