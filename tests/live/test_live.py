@@ -134,6 +134,7 @@ def test_a_simulated_camera_changes_its_plan() -> None:
     first, second = next(shots), next(shots)
     assert first.plan is second.plan
     assert (first.place, second.place) == (0, 1)
+    assert all(shot.plan is first.plan for shot in islice(shots, 7))  # the next rounds as well
     source.choose("3x3")
     third = next(shots)
     assert third.plan.frame_count == 9
@@ -198,6 +199,7 @@ def test_the_end_of_a_recording_is_said() -> None:
         ({"speed": 1}, "speed"),
         ({"record": 1}, "record"),
         ({"record": True}, "none has come"),
+        ({"record": True, "pattern": "recorded"}, "ends a recording"),
     ],
 )
 def test_controls_refuse(
@@ -207,6 +209,8 @@ def test_controls_refuse(
     with pytest.raises(ValueError, match=problem):
         control(live, wanted, tmp_path)
     assert live.settings == QUICK
+    assert live.recording is None
+    assert not list(tmp_path.iterdir())
 
 
 def test_controls_take_effect(burst: Burst, tmp_path: Path) -> None:
@@ -273,10 +277,30 @@ def test_what_is_recorded_can_be_replayed(burst: Burst, tmp_path: Path) -> None:
         np.testing.assert_array_equal(shot.frame.amplitude, burst.amplitude[shot.place])
 
 
+def test_what_a_simulated_camera_shows_is_recorded_round_after_round(tmp_path: Path) -> None:
+    """Also when its pattern has just changed, and the picture is of the one before."""
+    from lensshift.camera import camera_preset
+    from lensshift.scene import four_boxes
+
+    source = SimulatedSource(four_boxes(), camera_preset("o3m151"), rate_hz=1000.0)
+    with Live(source, QUICK) as live:
+        until(lambda: live.picture is not None and live.picture.window.frame_count == 4)
+        for number, (pattern, places) in enumerate((("square", 4), ("quincunx", 2)), 1):
+            if pattern != source.pattern:
+                control(live, {"pattern": pattern}, tmp_path)
+            control(live, {"record": True}, tmp_path)
+            until(lambda: live.recording is not None and live.recording.count >= 12)
+            control(live, {"record": False}, tmp_path)
+            kept = load_burst(tmp_path / f"recording-{number:04d}.nc")
+            assert kept.frame_count >= 12
+            assert kept.meta["plan"] == pattern
+            assert len(np.unique(kept.offset_px, axis=0)) == places
+
+
 def test_a_recording_without_a_frame_leaves_nothing(burst: Burst, tmp_path: Path) -> None:
     from lensshift.live.recording import Recording
 
-    Recording(tmp_path, source_of(burst).plan).close()
+    Recording(tmp_path, source_of(burst).plan, "square").close()
     assert list(tmp_path.iterdir()) == []
 
 

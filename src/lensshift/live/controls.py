@@ -10,7 +10,7 @@ from typing import Any
 from lensshift.capture.plan import PLANS
 from lensshift.core.settings import fit, only
 from lensshift.forward.model import MAX_SCALE
-from lensshift.live.picture import Picture, Settings
+from lensshift.live.picture import Settings
 from lensshift.live.recording import Recording
 from lensshift.live.worker import Live
 from lensshift.reconstruction.methods import find_method, method_names
@@ -54,19 +54,21 @@ def control(live: Live, wanted: Mapping[str, Any], folder: Path) -> None:
     kinds = {"scale": int, "method": str, "blur_px": float | None}
     given = {name: fit(wanted[name], kind, name) for name, kind in kinds.items() if name in wanted}
     settings = checked(replace(live.settings, **given))
-    if "record" in wanted:
-        begin = fit(wanted["record"], bool, "record")
-        live.record(_new_recording(live.picture, folder) if begin else None)
+    record = "record" in wanted and fit(wanted["record"], bool, "record")
+    if record and "pattern" in wanted:
+        raise ValueError("expected pattern or record: another pattern ends a recording")
     if "pattern" in wanted:
         live.source.choose(fit(wanted["pattern"], str, "pattern"))
+    if "record" in wanted:
+        live.record(_new_recording(live, folder) if record else None)
     live.settings = settings
 
 
-def _new_recording(picture: Picture | None, folder: Path) -> Recording:
-    if picture is None:
+def _new_recording(live: Live, folder: Path) -> Recording:
+    if live.picture is None:
         raise ValueError("expected a picture before a recording, none has come yet")
     folder.mkdir(parents=True, exist_ok=True)
-    return Recording(folder, picture.shot.plan)
+    return Recording(folder, live.picture.shot.plan, live.source.pattern)
 
 
 def box_of(value: Any, shape: tuple[int, int]) -> tuple[int, int, int, int]:

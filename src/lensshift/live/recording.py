@@ -19,9 +19,12 @@ from lensshift.live.sources import Shot
 class Recording:
     """Frames of one plan: a journal while they come, a burst file after `close`."""
 
-    def __init__(self, folder: Path, plan: Burst) -> None:
+    def __init__(self, folder: Path, plan: Burst, pattern: str) -> None:
         self.path = unused(folder, "recording", ".nc")
-        self.count = 0
+        self.count, self._pattern = 0, pattern
+        self._begin(plan)
+
+    def _begin(self, plan: Burst) -> None:
         self._plan = plan
         header: dict[str, Any] = {
             "plan": plan.meta.get("plan", ""),
@@ -33,9 +36,19 @@ class Recording:
         self._file = CaptureWriter.create(self.path, header)
 
     def append(self, shot: Shot) -> bool:
-        """Write a frame; return whether it belongs here, which one of another plan does not."""
+        """Write a frame; return whether it belongs here, which one of another plan does not.
+
+        The first one of the pattern says the plan: where that has just been changed, the picture
+        that the recording began with, and a frame on its way, are of the one before.
+        """
+        if not self.count and shot.plan.meta["plan"] != self._pattern:
+            return True
         if shot.plan is not self._plan:
-            return False
+            if self.count:
+                return False
+            self._file.close()
+            self.path.unlink()
+            self._begin(shot.plan)
         seen = {one.name: getattr(shot.frame, one.name) for one in fields(shot.frame)}
         record = FrameRecord(
             step=shot.place,

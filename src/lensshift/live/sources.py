@@ -126,8 +126,10 @@ class SimulatedSource(Source):
 
     def shots(self) -> Iterator[Shot]:
         """Yield frames at their rate; what is late is not caught up with."""
+        plan, template = self._plan, self._simulated(self._plan)
         while True:
-            plan, template = self._plan, self._simulated(self._plan)
+            if self._plan is not plan:  # one template as long as it holds: a picture is of one
+                plan, template = self._plan, self._simulated(self._plan)
             for place, offset_px in enumerate(plan.target_px):
                 due_s = time.monotonic() + 1.0 / self._rate_hz
                 moved_px = offset_px + self._error_px * self._rng.standard_normal(2)
