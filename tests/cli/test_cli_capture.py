@@ -247,6 +247,8 @@ def test_the_example_is_a_rig_file(call: Call, tmp_path: Path) -> None:
         ("[stage", "is not TOML"),
         ("[lens]\n", r"lens: is not known, expected stage, camera"),
         ("[camera]\nkind = 'film'\n", r"camera\.kind: expected o3m, pcic"),
+        ("[camera]\nkind = ['o3m']\n", r"camera\.kind: expected str, got \['o3m'\]"),
+        ("[camera]\nport = 0\n[stage]\nkind = 1\n", r"stage\.kind: expected str, got 1"),
         ("[camera]\nexposure = 1\n", r"camera\.exposure: is not known, expected port"),
         ("[camera]\nport = -1\n", r"camera: .*port"),
         ("[camera]\nport = 'abc'\n", r"camera\.port: expected int, got 'abc'"),

@@ -137,8 +137,12 @@ def opened(path: str | Path, header: Mapping[str, Any], *, resume: bool) -> Capt
 def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any], path: str | Path) -> None:
     for name in _SAME:
         if begun.get(name) != wanted[name]:
-            problem = f"the capture was begun with {name} {begun.get(name)!s:.60}"
-            raise DataError(f"{problem}, not {wanted[name]!s:.60}", field=name, source=path)
+            raise DataError(
+                f"the capture was begun with {name} {begun.get(name)!s:.60}, not "
+                f"{wanted[name]!s:.60}; resume it as it was begun, or begin anew (--restart)",
+                field=name,
+                source=path,
+            )
     ours = wanted["calibration"]["sha256"]
     theirs = begun.get("calibration", {}).get("sha256", "unknown")
     if ours != theirs:

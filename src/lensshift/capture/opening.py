@@ -281,7 +281,7 @@ def nominal_calibration(
 
 
 def _stage(table: _Table, folder: Path, home: str | None, on_homing: OnHoming | None) -> Stage:
-    kind = table.get("kind", "apt")
+    kind = fit(table.get("kind", "apt"), str, "stage.kind")
     if kind == "python":
         from lensshift.capture.drivers.from_python import python_stage
 
@@ -304,7 +304,7 @@ def _stage(table: _Table, folder: Path, home: str | None, on_homing: OnHoming | 
 
 
 def _camera(table: _Table, folder: Path) -> Camera:
-    kind = table.get("kind", "o3m")
+    kind = fit(table.get("kind", "o3m"), str, "camera.kind")
     rest = {name: value for name, value in table.items() if name != "kind"}
     frequency_hz = fit(rest.get("modulation_hz"), float | None, "camera.modulation_hz")
     doubt = "" if frequency_hz is None else doubt_about_units(frequency_hz, None)
