@@ -452,6 +452,21 @@ def test_a_frame_without_distances_is_computed():
     assert found.settings["event"] is None
 
 
+def test_a_frame_without_distances_takes_them_away_and_says_so():
+    mosaic, valid = phasor_mosaic(3, SHAPE), np.ones(SHAPE, bool)
+    one, clean = camera(modulation_hz=15e6), clean_frames(mosaic.truth)
+    far_m = np.mod(np.angle(clean), 2 * np.pi) / PER_M
+    said, channels = [], []
+    for k in range(9):
+        with warnings.catch_warnings(record=True, action="always") as told:
+            far = None if k == 4 else far_m[k % 4]
+            found = one.step(Frame(np.abs(clean[k % 4]), far, valid, float(k)))
+        said.append(any("a frame has no distances" in str(two.message) for two in told))
+        channels.append("distance" in found.channels)
+    assert said == [k == 4 for k in range(9)]
+    assert channels == [not 4 <= k < 8 for k in range(9)]
+
+
 def test_a_picture_asked_for_twice_is_the_same():
     one = camera(pace="live", modulation_hz=15e6, channel="phasor")
     clean, rng = clean_frames(phasor_mosaic(3, SHAPE).truth), np.random.default_rng(0)

@@ -99,6 +99,9 @@ class Stream:
         others = (other for k, other in self._frames.items() if k != place_now)
         lost = _blank(one) and not all(_blank(other) for other in others)
         shows = bool(one.valid.any()) and not lost
+        latest = next(reversed(self._frames.values()), one)
+        if shows and latest.distance_m is not None and one.distance_m is None:
+            self._warn("a frame has no distances, so the picture has none while it is in there")
         at, event, rests = self._placed(one, place, shows)
         if event == "scene changed":
             self._frames.clear()
