@@ -35,6 +35,7 @@ class Request:
     shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
     streamed : whether a stream asks, again and again
     law : noise of the light that was read with the response, in units of the burst, or None
+    still_std : deviation of what is left of a fixed pattern of the pixels, in units of the burst
     device : where "auto" finds its pictures, or None for the kernels of this processor
     """
 
@@ -50,6 +51,7 @@ class Request:
     shifts_doubted: bool = False
     streamed: bool = False
     law: NoiseLaw | None = None
+    still_std: float = 0.0
     device: Device | None = None
 
     def __post_init__(self) -> None:

@@ -150,7 +150,9 @@ def reconstruct(
     choice = choose_channel(part, channel, name, request, given=given)
     mend = name == "auto" or choice.channel == "phasor"
     ask = before is None and (chosen.questions_shifts or mend)
-    told, request = held_against_frames(burst, part, field, scale, request, ask=ask, mend=mend)
+    told, request = held_against_frames(
+        burst, part, field, scale, request, choice, ask=ask, mend=mend
+    )
     burst, part = told.burst, told.part
     seen: dict[str, Any] = {
         "scale": scale, "blur": undone(blur, response, chosen, lens_field), "shift_field": field,
@@ -193,7 +195,7 @@ def _estimates(
                 warnings.warn(said, QualityWarning, stacklevel=3)
         if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
             problem = problem.with_brightness(part.amplitude)
-        own = replace(request, law=None) if key == "distance" else request
+        own = replace(request, law=None, still_std=0.0) if key == "distance" else request
         found[key] = _solve(burst, problem, chosen, own, seen["shift_field"])
     return found, None
 
@@ -271,7 +273,7 @@ def _solve(
     if isinstance(std, PropagatedStd):
         std = replace(std, unit=unit)
     elif std is not None:
-        std = np.asarray(std) * unit
+        std = np.hypot(np.asarray(std) * unit, request.still_std)
         if request.photometric and len(gain) > 1:
             std = np.hypot(std, std_of_level(image, gain, bias))
     return replace(

@@ -1,4 +1,4 @@
-"""Told shifts held against the frames: a mistake is named, errors are mended."""
+"""Told shifts held against the frames: a mistake is named, errors and patterns are mended."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, ShiftField
 from lensshift.reconstruction.glance import Glance, glance
 from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
+from lensshift.reconstruction.learned.pattern import without_pattern
 from lensshift.reconstruction.method import Request
+from lensshift.reconstruction.phasor.choice import Choice
 from lensshift.reconstruction.pixel_response import averaged, has_phasors
 from lensshift.reconstruction.quick_shifts import found_variance_px2
 from lensshift.reconstruction.shift_check import (
@@ -51,11 +53,14 @@ def held_against_frames(
     shift_field: ShiftField | None,
     scale: int,
     request: Request,
+    choice: Choice,
     *,
     ask: bool,
     mend: bool,
 ) -> tuple[Told, Request]:
     """Return what frames doubt of shifts, if asked; or shifts that they do not doubt, if mended.
+
+    What stays at the pixels is taken off frames of light first, and doubts no shifts then.
 
     Warns
     -----
@@ -65,6 +70,10 @@ def held_against_frames(
     told = Told(burst, part)
     if not ask:
         return told, request
+    plain = shift_field is None and choice.channel != "phasor"
+    if plain and not (request.streamed or request.photometric):
+        burst, part, left, said = without_pattern(burst, part, scale, stacklevel=3)
+        told, request = Told(burst, part, settings=said), replace(request, still_std=left)
     shifts = part.offset_px if shift_field is None else shift_field.offset_px
     look = glance(_averages(part), shifts, part.valid)
     doubt = None if look is None else doubtful_shifts(look, scale)
@@ -107,7 +116,7 @@ def _mended(told: Told, look: Glance, request: Request) -> Told:
     moved[used], sigma_px[used] = found.offset_px, found.sigma_px
     burst = replace(burst, offset_px=moved, offset_sigma_px=sigma_px)
     said = {"corrected_offset_px": found.offset_px.tolist(), "offset_error_px": found.error_px}
-    return Told(burst, burst.select(used), None, said)
+    return Told(burst, burst.select(used), None, told.settings | said)
 
 
 def _averages(part: Burst) -> Array:
