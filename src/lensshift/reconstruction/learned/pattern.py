@@ -4,8 +4,8 @@
     f = w (f + mean_k (y_k - f - A_k x)),   w = P / (P + sigma^2 / K),
 
 P the variance of the pattern (`fixed_pattern`), n of how many frames an HR pixel sees each pixel.
-What is left of it is P - var f, as of any best guess: what is smooth over the pixels cannot be told
-from the scene.
+What is left of it is P - var f, as of any best guess, and the standard error of P: what is smooth
+over the pixels cannot be told from the scene.
 """
 
 from __future__ import annotations
@@ -24,9 +24,8 @@ from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.solver import Asked, solve_together
 from lensshift.reconstruction.problem import SQUARE_PIXEL_PX, make_blur, make_problem
 
-# A strong pattern passes for a scene between the pixels, and comes off little by little; a step
-# that leaves more of what was left before is not taken.
-MOST_STEPS, LAST = 8, 0.97
+# A strong pattern passes for a scene between the pixels, and comes off little by little.
+MOST_STEPS = 8
 
 
 def without_pattern(
@@ -54,6 +53,7 @@ def without_pattern(
     if power is None or not power.certain:
         return burst, part, 0.0, {}
     pattern, variance = _taken_off(part, scale, power.variance)
+    variance += power.variance / power.sure  # by as much the frames may have told too little of it
     size, left = float(np.sqrt(power.variance)), float(np.sqrt(variance))
     warnings.warn(
         "the pixels have a pattern of their own that does not move with the scene, of about "
@@ -78,7 +78,7 @@ def _taken_off(part: Burst, scale: int, variance: float) -> tuple[Floats, float]
         found = variance / (variance + noise) * (pattern + rest)
         found -= found.mean()
         remains = max(variance - float(np.var(found)), least)
-        if remains > LAST * left:
+        if remains >= left:
             break
         pattern, left = found, remains
     return pattern, left
