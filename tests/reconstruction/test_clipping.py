@@ -19,6 +19,7 @@ from lensshift.reconstruction.clipping import (
     overexposed,
     silent_pixels,
     without_blank,
+    without_copies,
     without_stuck,
 )
 from lensshift.reconstruction.learned.noise import rounded_std
@@ -186,6 +187,29 @@ def test_a_blank_frame_is_named_and_left_out(method: str) -> None:
     others = reconstruct(replace(burst, valid=valid), method=method)
     np.testing.assert_array_equal(found["amplitude"].image, others["amplitude"].image)
     reconstruct(burst, method=method, frames=range(1, 9))  # of which it is none
+
+
+def test_a_copy_of_a_frame_is_left_out_and_makes_no_noise_less() -> None:
+    for seed in range(3):
+        places = square(2)[[0, 1, 1, 3]]
+        y = seen(seed, places)
+        y[2] = y[1]
+        burst = Burst.from_arrays(y, offset_px=places, pitch_mm=0.1)
+        with pytest.warns(QualityWarning, match=r"noise and all, are left out: frame 2 \(of 1\)"):
+            found = reconstruct(burst, 2, psf_sigma_px=12**-0.5)["amplitude"]
+        assert found.noise_sigma is not None
+        assert 0.7 * SIGMA < found.noise_sigma < 1.5 * SIGMA
+        three = Burst.from_arrays(y[[0, 1, 3]], offset_px=places[[0, 1, 3]], pitch_mm=0.1)
+        other = reconstruct(three, 2, psf_sigma_px=12**-0.5)["amplitude"]
+        np.testing.assert_allclose(found.image, other.image, atol=SIGMA)
+
+
+def test_frames_that_are_alike_elsewhere_or_show_nothing_are_no_copies() -> None:
+    y = np.tile(np.linspace(0, 1, SHAPE[1]), (4, SHAPE[0], 1))
+    burst = Burst.from_arrays(y, offset_px=[[-0.5, 0], [0, 0], [0.5, 0], [1, 0]], pitch_mm=0.1)
+    assert without_copies(burst, range(4)) is burst
+    flat = Burst.from_arrays(np.ones((4, *SHAPE)), offset_px=np.zeros((4, 2)), pitch_mm=0.1)
+    assert without_copies(flat, range(4)) is flat
 
 
 def test_frames_that_are_all_blank_are_what_they_are() -> None:

@@ -98,16 +98,24 @@ def doubts_about_frames(
     return [text for text in said if text]
 
 
-def repeated_frame(frames: Array) -> str:
-    """Say that a frame [frame row col] is another one bit by bit, noise and all; or ""."""
+def copied_frames(frames: Array) -> dict[int, int]:
+    """Return which frames [frame row col] are another one bit by bit, noise and all, and which."""
     first: dict[int, int] = {}
+    found = {}
     for number, frame in enumerate(frames):
         before = first.setdefault(hash(frame.tobytes()), number)
         if before < number and np.ptp(frame.real) > 0:
-            return (
-                f"frame {number} is a copy of frame {before}, noise and all: it tells nothing new, "
-                "and its shift is that of the other one. Was it handed out twice?"
-            )
+            found[number] = before
+    return found
+
+
+def repeated_frame(frames: Array) -> str:
+    """Say that a frame [frame row col] is a copy of another one; or ""."""
+    for number, before in copied_frames(frames).items():
+        return (
+            f"frame {number} is a copy of frame {before}, noise and all: it tells nothing new, "
+            "and its shift is that of the other one. Was it handed out twice?"
+        )
     return ""
 
 

@@ -1,4 +1,4 @@
-"""Pixels that cannot say what is before them: at an end of the camera's range, stuck, or blank."""
+"""What cannot say what is before it: pixels at an end of the range, stuck, blank, and copies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from lensshift.core.arrays import Array, Mask
-from lensshift.core.defects import blank_frames, stuck_pixels
+from lensshift.core.defects import blank_frames, copied_frames, stuck_pixels
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.forward.operator import LinearOperator
@@ -132,6 +132,36 @@ def without_blank(burst: Burst, used: Sequence[int], *, stacklevel: int = 2) -> 
         stacklevel=stacklevel + 1,
     )
     return replace(burst, valid=burst.valid & ~blank[:, None, None])
+
+
+def without_copies(burst: Burst, used: Sequence[int], *, stacklevel: int = 2) -> Burst:
+    """Return the burst without those used frames that are copies of one at the same place.
+
+    Their noise is that of the other one: it would seem to be less. (Of those that were told to lie
+    elsewhere the frames say themselves that they do not fit.)
+
+    Warns
+    -----
+    QualityWarning
+        Of these.
+    """
+    numbers = list(used)
+    places = [
+        (numbers[k], numbers[of]) for k, of in copied_frames(burst.amplitude[numbers]).items()
+    ]
+    alike = [(k, of) for k, of in places if np.array_equal(burst.offset_px[k], burst.offset_px[of])]
+    if not alike or burst.affine is not None:
+        return burst
+    said = ", ".join(f"{k} (of {of})" for k, of in alike[:3]) + (" ..." if alike[3:] else "")
+    warnings.warn(
+        f"copies of frames, noise and all, are left out: frame {said}. They tell nothing new, and "
+        "noise would seem to be less. Were they handed out twice?",
+        QualityWarning,
+        stacklevel=stacklevel + 1,
+    )
+    valid = np.array(burst.valid)
+    valid[[k for k, _ in alike]] = False
+    return replace(burst, valid=valid)
 
 
 def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:

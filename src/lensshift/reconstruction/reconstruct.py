@@ -15,7 +15,12 @@ from lensshift.core.defects import doubts_about_frames
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
-from lensshift.reconstruction.clipping import overexposed, without_blank, without_stuck
+from lensshift.reconstruction.clipping import (
+    overexposed,
+    without_blank,
+    without_copies,
+    without_stuck,
+)
 from lensshift.reconstruction.devices import Device, on_device
 from lensshift.reconstruction.learned.noise import doubt_about_noise
 from lensshift.reconstruction.method import Method, Request
@@ -317,11 +322,12 @@ def _frame_numbers(
 
 
 def _parts(burst: Burst, used: tuple[int, ...], request: Request) -> tuple[Burst, Burst]:
-    """Return the burst without blank frames and what is used of it.
+    """Return the burst without frames that tell nothing, and what is used of it.
 
     Warns of what the frames can hardly be like; of those of a stream all that was done and said.
     """
-    burst = burst if request.streamed else without_blank(burst, used, stacklevel=3)
+    if not request.streamed:
+        burst = without_copies(without_blank(burst, used, stacklevel=3), used, stacklevel=3)
     part = burst if used == tuple(range(burst.frame_count)) else burst.select(used)
     if not request.streamed:
         doubts = doubts_about_frames(part.amplitude, part.valid, photometric=request.photometric)
