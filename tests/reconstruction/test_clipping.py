@@ -172,6 +172,29 @@ def test_points_of_light_are_looked_for_only_where_the_frames_lie_apart() -> Non
         without_stuck(replace(still, offset_px=NINE_PX))
 
 
+@pytest.mark.parametrize("axis", [1, 2])
+def test_a_line_of_pixels_with_an_offset_is_left_out(axis: int) -> None:
+    for seed in range(3):
+        y = seen(20 + seed)
+        off = y.copy()
+        off[(slice(None), *(np.s_[9] if axis == k else slice(None) for k in (1, 2)))] += 0.7
+        defect = np.zeros(SHAPE, np.bool_)
+        defect[np.s_[9] if axis == 1 else np.s_[:, 9]] = True
+        with pytest.warns(QualityWarning, match="left out as defective"):
+            found = without_stuck(Burst.from_arrays(off, offset_px=NINE_PX, pitch_mm=0.1))
+        np.testing.assert_array_equal(found.valid, np.broadcast_to(~defect, y.shape))
+        clean = Burst.from_arrays(y, offset_px=NINE_PX, pitch_mm=0.1)
+        assert without_stuck(clean) is clean
+
+
+def test_a_line_of_the_scene_that_does_not_move_across_itself_is_no_defect() -> None:
+    places = np.array([[-0.5, 0.0], [-0.2, 0.0], [0.2, 0.0], [0.5, 0.0]])
+    y = seen(2, places)
+    y[:, :, 9] += 0.7
+    still = Burst.from_arrays(y, offset_px=places, pitch_mm=0.1)
+    assert without_stuck(still) is still
+
+
 @pytest.mark.parametrize("method", ["auto", "tikhonov", "nearest", "bicubic"])
 def test_a_blank_frame_is_named_and_left_out(method: str) -> None:
     y = seen(4)

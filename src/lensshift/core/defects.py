@@ -59,6 +59,38 @@ def stuck_pixels(frames: Array, valid: Mask | None = None) -> Mask | None:
     return stuck if stuck.any() else None
 
 
+def offset_columns(frames: Array, valid: Mask) -> Mask:
+    """Return the columns [col] that stand out of both neighbours by as much in all frames.
+
+        min_k |c_k| > 10 (max_k c_k - min_k c_k)
+
+    with c the median over rows of what a column is more than the mean of its neighbours,
+    of one sign and more than of the neighbours, which change no more. Such a column follows the
+    scene, but with an offset. The frames have to lie apart along a row by a good part of a pixel,
+    as for `stuck_pixels`.
+
+    Parameters
+    ----------
+    frames, valid : [frame row col]
+    """
+    found = np.zeros(frames.shape[2], np.bool_)
+    used = np.asarray(valid.all(axis=0))
+    whole: Mask = used[:, 1:-1] & used[:, :-2] & used[:, 2:]
+    if len(frames) < LEAST_FRAMES or frames.shape[2] < 5 or not used.any():
+        return found
+    y = np.where(valid, frames, 0.0)  # of floats, also where frames are of unsigned integers
+    inner = y[:, :, 1:-1] - 0.5 * (y[:, :, :-2] + y[:, :, 2:])
+    told = whole.mean(axis=0) > MOST_STILL
+    of_column = np.zeros((len(frames), inner.shape[2]))
+    of_column[:, told] = np.nanmedian(np.where(whole, inner, np.nan)[:, :, told], axis=1)
+    least = np.abs(of_column).min(axis=0) * (np.ptp(np.sign(of_column), axis=0) == 0)
+    change, most = (np.pad(of, 1) for of in (np.ptp(of_column, axis=0), np.abs(of_column).max(0)))
+    change = np.maximum(np.maximum(change[:-2], change[2:]), change[1:-1])
+    limit = np.maximum(STANDS_OUT * change, LEAST_CONTRAST * float(np.std(frames[:, used])))
+    found[1:-1] = told & (least > limit) & (least > np.maximum(most[:-2], most[2:]))
+    return found
+
+
 def _still_rows(still: Mask) -> Mask:
     """Return the rows that are still between two of which most pixels are not."""
     share = still.mean(axis=1)

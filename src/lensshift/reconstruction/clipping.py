@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from lensshift.core.arrays import Array, Mask
-from lensshift.core.defects import blank_frames, copied_frames, stuck_pixels
+from lensshift.core.defects import blank_frames, copied_frames, offset_columns, stuck_pixels
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.forward.operator import LinearOperator
@@ -172,10 +172,18 @@ def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:
     QualityWarning
         Of these.
     """
-    y = burst.amplitude
-    if y.dtype.kind == "c" or np.ptp(burst.offset_px, axis=0).max() < TELLING_MOVE_PX:
+    y, valid = burst.amplitude, burst.valid
+    across = np.ptp(burst.offset_px, axis=0) >= TELLING_MOVE_PX
+    if y.dtype.kind == "c" or not across.any():
         return burst
-    if (stuck := stuck_pixels(y, burst.valid)) is None:
+    stuck = stuck_pixels(y, valid)
+    stuck = np.zeros(y.shape[1:], np.bool_) if stuck is None else stuck
+    if across[1]:
+        stuck |= offset_columns(y, valid) & valid.all(axis=0)
+    if across[0]:
+        rows = offset_columns(y.swapaxes(1, 2), valid.swapaxes(1, 2))
+        stuck |= rows[:, None] & valid.all(axis=0)
+    if not stuck.any():
         return burst
     places = [f"({row}, {col})" for row, col in np.argwhere(stuck)]
     shown = ", ".join(places[:3]) + (" ..." if len(places) > 3 else "")

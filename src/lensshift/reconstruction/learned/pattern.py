@@ -114,6 +114,7 @@ def _frames_at_a_pixel(offset_px: Floats) -> float:
 def _less(frames: Array, pattern: Floats) -> Array:
     """Return the frames without the pattern; what is at an end of their range stays there."""
     values = frames.astype(np.float64)
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    seen = values[np.isfinite(values)]  # invalid pixels may hold anything
+    low, high = float(seen.min()), float(seen.max())
     ends: Mask = (values == low) | (values == high)
     return np.where(ends, values, np.clip(values - pattern, low, high))
