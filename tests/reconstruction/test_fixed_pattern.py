@@ -11,6 +11,7 @@ from scipy.ndimage import correlate1d
 from lensshift import Burst, Estimate, QualityWarning, reconstruct
 from lensshift.reconstruction import told_shifts
 from lensshift.reconstruction.fixed_pattern import LAGS, SMOOTH, _kernels, pattern_power
+from lensshift.reconstruction.learned.pattern import without_pattern
 
 SHAPE, SIGMA = (32, 40), 0.02
 Array = NDArray[np.float64]
@@ -136,3 +137,16 @@ def test_the_picture_is_that_without_the_pattern(
         held.append(float(np.mean(np.abs(errors[0]) < 2 * np.asarray(found.std)[4:-4, 4:-4])))
     assert np.mean(share) < most
     assert np.mean(held) > 0.85
+
+
+def test_all_pixels_but_those_cut_off_lose_the_pattern() -> None:
+    rng = np.random.default_rng(9)
+    offset_px = hand_held(rng)
+    y = seen(9, offset_px)[0] + pattern("pixels", rng)
+    for cut in (y, np.minimum(y, np.quantile(y, 0.95))):
+        burst = Burst.from_arrays(cut, offset_px=offset_px, pitch_mm=0.1)
+        with pytest.warns(QualityWarning, match="pattern of their own"):
+            found, _, _, _ = without_pattern(burst, burst, 2)
+        at_end = (cut == cut.max()) & (np.count_nonzero(cut == cut.max()) > 1)
+        np.testing.assert_array_equal(found.amplitude == cut, at_end)
+        assert found.amplitude.max() == cut.max() or not at_end.any()

@@ -15,10 +15,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.forward.operator import single
+from lensshift.reconstruction.clipping import clipped_pixels
 from lensshift.reconstruction.fixed_pattern import pattern_power
 from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.solver import Asked, solve_together
@@ -63,7 +64,7 @@ def without_pattern(
         QualityWarning,
         stacklevel=stacklevel + 1,
     )
-    burst, part = (replace(one, amplitude=_less(one.amplitude, pattern)) for one in (burst, part))
+    burst, part = (_less(one, pattern) for one in (burst, part))
     return burst, part, left, {"fixed_pattern_std": size, "fixed_pattern_left": left}
 
 
@@ -72,8 +73,7 @@ def _taken_off(part: Burst, scale: int, variance: float) -> tuple[Floats, float]
     pattern, left = np.zeros(part.grid.shape), variance
     seen_by = _frames_at_a_pixel(part.offset_px)
     for _ in range(MOST_STEPS):
-        now = replace(part, amplitude=_less(part.amplitude, pattern))
-        rest, noise = _unexplained(now, scale, seen_by * left)
+        rest, noise = _unexplained(_less(part, pattern), scale, seen_by * left)
         least = variance * noise / (variance + noise)
         found = variance / (variance + noise) * (pattern + rest)
         found -= found.mean()
@@ -111,10 +111,11 @@ def _frames_at_a_pixel(offset_px: Floats) -> float:
     return float(np.clip(1.0 - apart, 0.0, None).prod(axis=-1).sum(axis=1).mean())
 
 
-def _less(frames: Array, pattern: Floats) -> Array:
-    """Return the frames without the pattern; what is at an end of their range stays there."""
-    values = frames.astype(np.float64)
-    seen = values[np.isfinite(values)]  # invalid pixels may hold anything
-    low, high = float(seen.min()), float(seen.max())
-    ends: Mask = (values == low) | (values == high)
-    return np.where(ends, values, np.clip(values - pattern, low, high))
+def _less(burst: Burst, pattern: Floats) -> Burst:
+    """Return the burst without the pattern; what was cut off at an end of the range stays there."""
+    values = burst.amplitude.astype(np.float64)
+    less, clipped = values - pattern, clipped_pixels(burst.amplitude, burst.valid)
+    if clipped is not None:
+        seen = values[burst.valid]
+        less = np.where(clipped, values, np.clip(less, seen.min(), seen.max()))
+    return replace(burst, amplitude=less)
