@@ -150,3 +150,13 @@ def test_all_pixels_but_those_cut_off_lose_the_pattern() -> None:
         at_end = (cut == cut.max()) & (np.count_nonzero(cut == cut.max()) > 1)
         np.testing.assert_array_equal(found.amplitude == cut, at_end)
         assert found.amplitude.max() == cut.max() or not at_end.any()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_frames_that_did_not_move_are_no_pattern(seed: int) -> None:
+    """All of the scene stays at the pixels, not only what is as rough as they are."""
+    offset_px = hand_held(np.random.default_rng(seed))
+    y, _ = seen(seed, 0.0 * offset_px)
+    _, said = reconstructed(y, offset_px)
+    assert any("shifts that did not happen" in one for one in said)
+    assert not any("pattern" in one for one in said)

@@ -39,7 +39,7 @@ from lensshift.reconstruction.problem import (
     predictor,
 )
 from lensshift.reconstruction.shift_check import Doubt, warn_of_doubt
-from lensshift.reconstruction.told_shifts import held_against_frames
+from lensshift.reconstruction.told_shifts import Told, held_against_frames
 from lensshift.reconstruction.uncertainty import PropagatedStd
 
 
@@ -153,11 +153,9 @@ def reconstruct(
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
-    mend = name == "auto" or choice.channel == "phasor"
-    ask = before is None and (chosen.questions_shifts or mend)
-    told, request = held_against_frames(
-        burst, part, field, scale, request, choice, ask=ask, mend=mend
-    )
+    told = Told(burst, part)
+    if before is None:
+        told, request = held_against_frames(burst, part, field, scale, request, chosen, choice)
     burst, part = told.burst, told.part
     seen: dict[str, Any] = {
         "scale": scale, "blur": undone(blur, response, chosen, lens_field), "shift_field": field,

@@ -76,6 +76,7 @@ CURES: Mapping[str, str] = {
     "no simple mistake": "check offset_px, or let `lensshift.register` find it",
 }
 OTHER_UNIT, NO_MISTAKE = "their unit", "no simple mistake"
+STILL, TURNING = "shifts that did not happen", "frames that turn"
 # Readings that follow from where the frames seem to lie are always near that.
 FROM_FRAMES = (OTHER_UNIT, NO_MISTAKE, "shifts that were not told", "the order of the frames")
 
@@ -229,7 +230,7 @@ def _turn(trial: _Trial, smooth: Array) -> Doubt | None:
         ratios.append(ratio)
     if min(shifted.sure_by_quarter(turned, CONFIRMING_FOLDS)) < LEAST_QUARTER_T:
         return None
-    return Doubt("frames that turn", ratios[0])
+    return Doubt(TURNING, ratios[0])
 
 
 class _Trial:
@@ -321,7 +322,7 @@ def _readings(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[str,
         ("rows and columns swapped, and a sign", swapped * flip_col),
         ("their unit (HR pixels)", given_px / scale),
         ("their unit (too small)", given_px * scale),
-        ("shifts that did not happen", np.zeros_like(given_px)),
+        (STILL, np.zeros_like(given_px)),
         ("the order of the frames", given_px[linear_sum_assignment(apart)[1]]),
         *_by_a_factor(given_px, found_px, scale),
         ("shifts that were not told" if untold else NO_MISTAKE, found_px),

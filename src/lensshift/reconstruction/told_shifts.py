@@ -14,11 +14,13 @@ from lensshift.core.types import Burst, ShiftField
 from lensshift.reconstruction.glance import Glance, glance
 from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
 from lensshift.reconstruction.learned.pattern import without_pattern
-from lensshift.reconstruction.method import Request
+from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.phasor.choice import Choice
 from lensshift.reconstruction.pixel_response import averaged, has_phasors
 from lensshift.reconstruction.quick_shifts import found_variance_px2
 from lensshift.reconstruction.shift_check import (
+    STILL,
+    TURNING,
     Doubt,
     doubtful_shifts,
     surely_better,
@@ -53,38 +55,56 @@ def held_against_frames(
     shift_field: ShiftField | None,
     scale: int,
     request: Request,
+    method: Method,
     choice: Choice,
-    *,
-    ask: bool,
-    mend: bool,
 ) -> tuple[Told, Request]:
-    """Return what frames doubt of shifts, if asked; or shifts that they do not doubt, if mended.
+    """Return what the frames doubt of the shifts; or shifts without doubt, if the method may mend.
 
     What stays at the pixels is taken off frames of light first, and doubts no shifts then.
 
     Warns
     -----
     QualityWarning
-        If there is a doubt that has a name, or shifts were mended by more than 0.05 px (rms).
+        If there is a doubt that has a name, shifts were mended by more than 0.05 px (rms), or the
+        pixels have a pattern.
     """
-    told = Told(burst, part)
-    if not ask:
+    told, phasors = Told(burst, part), choice.channel == "phasor"
+    mend = method.name == "auto" or phasors
+    if not (mend or method.questions_shifts):
         return told, request
-    plain = shift_field is None and choice.channel != "phasor"
-    if plain and not (request.streamed or request.photometric):
+    look, doubt = _looked_at(part, shift_field, scale)
+    mend = mend and shift_field is None and not request.streamed
+    if mend and not (phasors or request.photometric or _stays(doubt)):
         burst, part, left, said = without_pattern(burst, part, scale, stacklevel=3)
-        told, request = Told(burst, part, settings=said), replace(request, still_std=left)
-    shifts = part.offset_px if shift_field is None else shift_field.offset_px
-    look = glance(_averages(part), shifts, part.valid)
-    doubt = None if look is None else doubtful_shifts(look, scale)
+        if said:
+            told, request = Told(burst, part, settings=said), replace(request, still_std=left)
+            look, doubt = _looked_at(part, shift_field, scale)
+    told = replace(told, doubt=doubt)
     if doubt is not None and doubt.named:
         warn_of_doubt(doubt, stacklevel=3)
-        return replace(told, doubt=doubt), replace(request, shifts_doubted=True)
+        return told, replace(request, shifts_doubted=True)
     # The lens of a stream comes back to places that were found long ago.
-    mend = mend and shift_field is None and not request.streamed
     if look is None or not mend or not _in_question(part, look):
-        return replace(told, doubt=doubt), request
-    return _mended(replace(told, doubt=doubt), look, request), request
+        return told, request
+    return _mended(told, look, request), request
+
+
+def _stays(doubt: Doubt | None) -> bool:
+    """Return whether it is the scene itself that stays at the pixels, or turns about them.
+
+    A strong pattern may predict pixels better where they are, but not pass for all of the scene.
+    """
+    if doubt is None or doubt.mistake not in (STILL, TURNING):
+        return False
+    return doubt.told or doubt.mistake == TURNING
+
+
+def _looked_at(
+    part: Burst, shift_field: ShiftField | None, scale: int
+) -> tuple[Glance | None, Doubt | None]:
+    shifts = part.offset_px if shift_field is None else shift_field.offset_px
+    look = glance(_averages(part), shifts, part.valid)
+    return look, None if look is None else doubtful_shifts(look, scale)
 
 
 def _mended(told: Told, look: Glance, request: Request) -> Told:
