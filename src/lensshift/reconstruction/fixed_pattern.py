@@ -147,18 +147,18 @@ def _covariances(frames: Array, valid: Mask) -> tuple[Floats, Floats]:
     calm = whole / (unrest + usual) if usual > 0.0 else 0.0 * whole  # frames of one value
     ends = [np.linspace(REACH_PX, n - REACH_PX, PARTS + 1).round().astype(int)
             for n in whole.shape]  # fmt: skip
-    count, parts = len(frames), [(r, c) for r in pairwise(ends[0]) for c in pairwise(ends[1])]
-    found = np.zeros((len(parts), len(LAGS), count, count))
-    weight = np.zeros((len(parts), len(LAGS), 1, 1))
+    parts = [(r, c) for r in pairwise(ends[0]) for c in pairwise(ends[1])]
+    count = len(frames)
+    both, share = np.concatenate([rough, whole[None]]), np.concatenate([rough * calm, calm[None]])
+    found = np.empty((len(parts), count + 1, len(LAGS), count + 1))
     for number, ((top, bottom), (left, right)) in enumerate(parts):
-        here = np.s_[..., top:bottom, left:right]
-        own, share = rough[here] * calm[here], calm[here]
-        own = own.reshape(count, -1)
+        there = np.empty((len(LAGS), count + 1, bottom - top, right - left))
         for place, (down, across) in enumerate(LAGS):
-            there = np.s_[..., top + down : bottom + down, left + across : right + across]
-            found[number, place] = own @ rough[there].reshape(count, -1).T
-            weight[number, place] = np.sum(share * whole[there])
-    return found, weight
+            there[place] = both[:, top + down : bottom + down, left + across : right + across]
+        own = share[:, top:bottom, left:right].reshape(count + 1, -1)
+        np.matmul(own, there.reshape(-1, own.shape[1]).T, out=found[number].reshape(count + 1, -1))
+    found = found.swapaxes(1, 2)
+    return found[..., :-1, :-1], found[..., -1:, -1:]
 
 
 @lru_cache(maxsize=8)
