@@ -425,3 +425,27 @@ def test_frames_say_where_they_lie_when_unseen_pixels_say_little(offset_px: Arra
         doubt = doubtful_shifts(y, offset_px[:, ::-1])
         told += doubt is not None and doubt.mistake == "rows and columns swapped"
     assert told >= 5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_large_thing_that_moves_is_no_camera_that_turns(seed: int) -> None:
+    """Beside one that rests, which a turn would move."""
+    rng = np.random.default_rng(seed)
+    frames = []
+    for number, one in enumerate(SQUARE_PX):
+
+        def scene(row: Array, col: Array, gone: float = 4 / 3 * number) -> Array:
+            moves = (np.abs(row - 7.5) < 5) & (np.abs(col - 24 - gone) < 6)
+            across = np.abs(row - 7.5 - 0.3 * (col - 44)) < 3.5
+            rests = across & (np.abs(col - 44) < 3.5)
+            far = np.where(moves, 3.3, np.where(rests, 3.6, 4.0 + 0.02 * (col - 32)))
+            return np.where(moves, 0.25, np.where(rests, 0.6, 0.5)) * np.exp(0.628j * far)
+
+        frames.append(
+            photograph(lambda r, c: scene(r, c).real, (16, 64), one[None])[0]
+            + 1j * photograph(lambda r, c: scene(r, c).imag, (16, 64), one[None])[0]
+        )
+    y = np.array(frames)
+    y = y + 0.02 * (rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape))
+    doubt = doubtful_shifts(y, SQUARE_PX)
+    assert doubt is None or doubt.mistake != "frames that turn"

@@ -40,7 +40,7 @@ CLIP_SIGMAS, CLIP_CONTRAST = 5.0, 0.5
 # Readings whose shifts differ by less from those given are the same.
 SAME_PX = 0.02
 # Fewer frames fit a picture however they turn; and in each quarter of it turning has to predict
-# better by so many standard errors.
+# better by so many standard errors, and in no sixteenth worse by as many.
 LEAST_TURNING, LEAST_QUARTER_T = 4, 2.0
 # Frames that tell the given shifts to such errors, small beside the shifts, object to nothing.
 AGREED_PX, AGREED_SHARE = 0.1, 0.25
@@ -228,8 +228,10 @@ def _turn(trial: _Trial, smooth: Array) -> Doubt | None:
         if sure < LEAST_T or ratio < NAMED:
             return None
         ratios.append(ratio)
-    if min(shifted.sure_by_quarter(turned, CONFIRMING_FOLDS)) < LEAST_QUARTER_T:
+    if min(shifted.sure_by_part(turned, CONFIRMING_FOLDS, 2)) < LEAST_QUARTER_T:
         return None
+    if min(trial.sure_by_part(turned, CONFIRMING_FOLDS, 4)) < -LEAST_QUARTER_T:
+        return None  # something large moved, beside what rests
     return Doubt(TURNING, ratios[0])
 
 
@@ -271,12 +273,19 @@ class _Trial:
         sure = (one.mean() - two.mean()) / max(float(np.std(one - two)), 1e-300)
         return float(one.mean() / max(two.mean(), 1e-300)), float(sure * np.sqrt(one.size))
 
-    def sure_by_quarter(self, other_px: Shifts, folds: int) -> list[float]:
-        """Return the difference of the errors in standard errors, in quarters of the picture."""
+    def sure_by_part(self, other_px: Shifts, folds: int, along: int) -> list[float]:
+        """Return the difference of the errors in standard errors, in parts of the picture.
+
+        Parameters
+        ----------
+        along : parts along each axis
+        """
         apart = self._errors(self.given_px, folds) - self._errors(other_px, folds)
-        halves = [np.array_split(side, 2, axis=3) for side in np.array_split(apart, 2, axis=2)]
+        rows = [
+            np.array_split(side, along, axis=3) for side in np.array_split(apart, along, axis=2)
+        ]
         found = []
-        for part in (quarter for side in halves for quarter in side):
+        for part in (part for row in rows for part in row):
             one = part[np.isfinite(part)]
             found.append(float(one.mean() / max(np.std(one), 1e-300) * np.sqrt(one.size)))
         return found
