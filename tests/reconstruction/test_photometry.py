@@ -143,3 +143,39 @@ def test_few_bright_pixels_that_do_not_fit_are_no_other_brightness(
             reconstruct(make_burst(y), psf_sigma_px=0.289, std=False)
         told += any("differ in brightness" in str(one.message) for one in caught)
     assert least <= told <= most
+
+
+def _said(y: Array, **settings: object) -> tuple[Array, list[str]]:
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", QualityWarning)
+        found = reconstruct(make_burst(y), psf_sigma_px=12**-0.5, **settings)["amplitude"]
+    assert all(one.filename == __file__ for one in said)
+    return found.image, [str(one.message) for one in said]
+
+
+@pytest.mark.parametrize(("change", "silent"), [(0.0, True), (0.2, False), (1.0, False)])
+def test_light_that_flickers_is_allowed_for_and_said(change: float, silent: bool) -> None:
+    gain, bias = GAIN**change, change * BIAS
+    clean = photograph(edge_scene, SHAPE, SQUARE_PX)
+    y = gain[:, None, None] * clean + bias[:, None, None]
+    y += 0.003 * np.random.default_rng(2).standard_normal(y.shape)
+    image, said = _said(y)
+    asked, _ = _said(y, photometric=True)
+    assert any("the picture allows for it" in one for one in said) is not silent
+    if silent:
+        assert not said
+    else:
+        np.testing.assert_allclose(image, asked, atol=0.01)
+
+
+def test_something_that_moved_is_not_taken_for_light() -> None:
+    def moved(row: Array, col: Array) -> Array:
+        inside = (np.abs(row - 9) < 3) & (np.abs(col - 14) < 3)
+        return np.where(inside, 0.9, edge_scene(row, col))
+
+    y = photograph(edge_scene, SHAPE, SQUARE_PX)
+    y[2] = photograph(moved, SHAPE, SQUARE_PX)[2]
+    y += 0.01 * np.random.default_rng(3).standard_normal(y.shape)
+    _, said = _said(y)
+    assert said
+    assert not any("allows for it" in one for one in said)

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats
+from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.defects import unequal_brightness
+from lensshift.core.errors import QualityWarning
+from lensshift.core.types import Estimate
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.operator import LinearOperator
+from lensshift.reconstruction.method import Request
+from lensshift.reconstruction.misfit import ESTIMATED, NOT_ENOUGH
 from lensshift.reconstruction.noise import robust_scale
 
 HUBER_SIGMAS = 1.345
@@ -50,6 +57,37 @@ def estimate_photometry(A: LinearOperator, y: Array, weight: Array) -> tuple[Flo
         if np.max(np.abs(gain / before - 1.0)) < SETTLED:
             break
     return gain, bias
+
+
+def seems_lit(found: Estimate, frames: Array, valid: Mask, request: Request) -> bool:
+    """Return whether frames contradict a picture as they do that differ in brightness.
+
+    Not of a stream, whose pictures follow its light, and not where it was allowed for.
+    """
+    said = found.notes.get("contradiction", "")
+    if not said or request.streamed or request.photometric or frames.dtype.kind == "c":
+        return False
+    return ESTIMATED in said or bool(unequal_brightness(frames, valid))
+
+
+def of_one_light(found: Estimate, again: Estimate, *, stacklevel: int = 2) -> Estimate:
+    """Return the second estimate, which allows for other brightness, if that is what it was.
+
+    Warns
+    -----
+    QualityWarning
+        Then.
+    """
+    said, left = (one.notes.get("contradiction", "") for one in (found, again))
+    if NOT_ENOUGH in left or (left and ESTIMATED not in said):
+        return found
+    differ = said.partition(":")[0] if ESTIMATED in said else "the frames differ in brightness"
+    warnings.warn(
+        f"{differ}: the picture allows for it, by a gain and a bias of each frame (in its notes)",
+        QualityWarning,
+        stacklevel=stacklevel + 1,
+    )
+    return again
 
 
 def std_of_level(image: Floats, gain: Floats, bias: Floats) -> Floats:

@@ -29,7 +29,12 @@ from lensshift.reconstruction.misfit import ESTIMATED, NOT_ENOUGH
 from lensshift.reconstruction.options import positive
 from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, Choice, choose_channel
-from lensshift.reconstruction.photometry import estimate_photometry, std_of_level
+from lensshift.reconstruction.photometry import (
+    estimate_photometry,
+    of_one_light,
+    seems_lit,
+    std_of_level,
+)
 from lensshift.reconstruction.pixel_response import as_seen, told_response, undone
 from lensshift.reconstruction.problem import (
     QUESTIONED_BLUR_PX,
@@ -100,7 +105,8 @@ def reconstruct(
     lens_field : how shift and spot of the lens vary over the sensor, for the frames of any burst
         of that lens; instead of `shift_field`. `psf_sigma_px` then holds for the middle of the
         sensor, where nobody told it the pixel is square; all methods undo the spot
-    photometric : whether to estimate gain and bias of each frame
+    photometric : whether to estimate gain and bias of each frame; where frames of light surely
+        differ in brightness that is done, and said, without it
     non_negative : whether negative values are forbidden
     seed : of everything random
     std : whether the propagated noise is wanted (it is computed when first asked for)
@@ -200,6 +206,10 @@ def _estimates(
             problem = problem.with_brightness(part.amplitude)
         own = replace(request, law=None, still_std=0.0) if key == "distance" else request
         found[key] = _solve(burst, problem, chosen, own, seen["shift_field"])
+        if key == "amplitude" and seems_lit(found[key], values, part.valid, request):
+            bright = replace(own, photometric=True, law=None)
+            again = _solve(burst, problem, chosen, bright, seen["shift_field"])
+            found[key] = of_one_light(found[key], again, stacklevel=3)
     return found, None
 
 
