@@ -397,6 +397,8 @@ def test_phases_that_contradict_each_other_are_told(hz: tuple[float, ...], seed:
     assert "run backwards: give the conjugate" in said
     off = doubt_about_phases(Tones(hz, phase + 0.6 * (sign < 0), std_rad))
     assert "are its phases not calibrated" in off
+    harmonic = phase + 0.03 * np.sin(3 * phase)  # beyond the noise, but no mistake
+    assert doubt_about_phases(Tones(hz, harmonic, np.full(phase.shape, 0.003))) == ""
     told = (hz[0] * 1.1, *hz[1:])
     assert "is a frequency another one" in doubt_about_phases(Tones(told, phase, std_rad))
 

@@ -56,6 +56,7 @@ def test_auto_predicts_the_held_out_frames_of_the_chart(
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:copies of frames")  # two of the twenty are
 @pytest.mark.parametrize(
     "frames", [range(0, 20, 3), pytest.param(range(20), marks=pytest.mark.slow)]
 )

@@ -13,7 +13,7 @@ from lensshift.core.types import Estimate
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.method import Request
-from lensshift.reconstruction.misfit import ESTIMATED, NOT_ENOUGH
+from lensshift.reconstruction.misfit import ESTIMATED
 from lensshift.reconstruction.noise import robust_scale
 
 HUBER_SIGMAS = 1.345
@@ -71,7 +71,9 @@ def seems_lit(found: Estimate, frames: Array, valid: Mask, request: Request) -> 
 
 
 def of_one_light(found: Estimate, again: Estimate, *, stacklevel: int = 2) -> Estimate:
-    """Return the second estimate, which allows for other brightness, if that is what it was.
+    """Return the second estimate, which allows for other brightness, if that was all there was.
+
+    Frames that show less of a scene, as of one that turned, look darker as well.
 
     Warns
     -----
@@ -79,7 +81,7 @@ def of_one_light(found: Estimate, again: Estimate, *, stacklevel: int = 2) -> Es
         Then.
     """
     said, left = (one.notes.get("contradiction", "") for one in (found, again))
-    if NOT_ENOUGH in left or (left and ESTIMATED not in said):
+    if left:
         return found
     differ = said.partition(":")[0] if ESTIMATED in said else "the frames differ in brightness"
     warnings.warn(

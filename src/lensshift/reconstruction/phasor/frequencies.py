@@ -21,6 +21,8 @@ AROUND_HR_PX = 7  # along the window in which surfaces are looked for
 ALIKE = 1.0 / 16.0  # of a turn: what four pixels of one surface may differ by
 FARTHEST_M = 200.0  # no camera that counts turns sees farther
 RELATED = 1.0 / 20.0  # of a turn, over its number: frequencies are multiples of another, or nearly
+# Harmonics of light that is no sine turn phases by some hundredths, in any camera.
+CALIBRATED_RAD = 0.05
 SURE = 3.0**2  # chi-square by which a turn is sure: the usual 3 sigma
 CORNER = 3  # neighbours alike, where a surface of four pixels or more ends
 FORBIDDEN = 1e12  # chi-square that no noise reaches
@@ -159,7 +161,7 @@ def doubt_about_phases(pictures: Tones) -> str:
     Phases of another frequency than they are told to be of, or that run backwards, fit none.
     """
     given = _typical_chi_square(pictures)
-    if given < SURE:
+    if given < SURE or _typical_off_rad(pictures) < CALIBRATED_RAD:
         return ""
     told = _names(pictures.hz)
     readings = [
@@ -195,6 +197,12 @@ def doubt_about_phases(pictures: Tones) -> str:
 
 def _names(some_hz: tuple[float, ...]) -> str:
     return ", ".join(f"{hz:g}" for hz in some_hz)
+
+
+def _typical_off_rad(pictures: Tones) -> float:
+    """Return by how much most pixels have a phase off that of their distance."""
+    off_rad = within_half_a_turn(pictures.phase_rad - pictures.rad_per_m * pictures.alone()[0])
+    return float(np.median(np.abs(off_rad).max(axis=0)))
 
 
 def _typical_chi_square(pictures: Tones) -> float:
