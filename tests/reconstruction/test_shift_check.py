@@ -449,3 +449,13 @@ def test_a_large_thing_that_moves_is_no_camera_that_turns(seed: int) -> None:
     y = y + 0.02 * (rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape))
     doubt = doubtful_shifts(y, SQUARE_PX)
     assert doubt is None or doubt.mistake != "frames that turn"
+
+
+def test_parts_without_pixels_say_nothing() -> None:
+    y = _frames(_boxes, SCATTERED_PX, SIGMA)
+    seen = np.ones(y.shape, bool)
+    seen[:, :9, :12] = False
+    trial = _Trial(y, seen, SCATTERED_PX, None)
+    parts = trial.sure_by_part(-SCATTERED_PX, 2, 4)
+    assert 0 < len(parts) < 16
+    assert np.all(np.isfinite(parts))

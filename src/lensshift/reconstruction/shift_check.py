@@ -287,6 +287,8 @@ class _Trial:
         found = []
         for part in (part for row in rows for part in row):
             one = part[np.isfinite(part)]
+            if one.size < 2:  # as where most of it is invalid
+                continue
             found.append(float(one.mean() / max(np.std(one), 1e-300) * np.sqrt(one.size)))
         return found
 
