@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mosaic import MARGIN_PX, SAMPLES, canvas, mosaic_burst, observe, square
-from pixel_camera import SQUARE_PX, edge_scene, make_burst, photograph, smooth_scene
+from pixel_camera import edge_scene, photograph, smooth_scene
 
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Status
@@ -358,17 +358,3 @@ def test_a_smooth_scene_of_few_pixels_has_one_brightness(seed: int) -> None:
     rng = np.random.default_rng([seed, 9])
     y = photograph(smooth_scene, (9, 13), square(2)) + 0.005 * rng.standard_normal((4, 9, 13))
     assert warned(burst_of(y)) == []
-
-
-@pytest.mark.parametrize("sizes", [(1.0, 1.0, 4.0, 1.0), (0.5, 4.0, 1.0, 2.0)])
-@pytest.mark.parametrize("seed", range(3))
-def test_frames_of_unequal_noise_are_of_one_still_scene(
-    sizes: tuple[float, ...], seed: int
-) -> None:
-    """As of other exposures, divided by them."""
-    y = photograph(edge_scene, (20, 28), SQUARE_PX)
-    noise = np.random.default_rng(seed).standard_normal(y.shape)
-    y = y + 0.01 * np.array(sizes)[:, None, None] * noise
-    with warnings.catch_warnings(action="error"):
-        found = reconstruct(make_burst(y), psf_sigma_px=12**-0.5)["amplitude"]
-    assert found.status is not Status.CONTRADICTED

@@ -61,9 +61,6 @@ ESTIMATED = "photometric=True (--photometric) estimates gain and bias"
 NOT_ENOUGH = "the gain and bias found for each frame do not explain it (use fewer by frames=)"
 # Standard errors that chi-square has to be larger than 1 by before it counts against `std`.
 SIGNIFICANT = 3.0
-# A frame varies more than others where its slopes are the least quarter: what lies elsewhere shows
-# at slopes. Standard error of a median of n squares of noise over it, times root n.
-CALM_SHARE, MEDIAN_ERROR = 0.25, 2.33
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,12 +205,10 @@ def find_misfit(A: LinearOperator, image: Array, y: Array, sigma: Floats, scale:
     variance = noise + ALLOWED_SHIFT_PX**2 / parts * contrast
     told = square / variance
     excess = _excess_noise(told, used)
-    usual_square = MEDIAN_SIZE**2 if parts == 1.0 else np.log(2.0)  # medians of chi-square
     variance *= excess
-    of_frames = _of_frames(r, variance * parts, contrast, used, float(usual_square))
-    excess, variance = excess * of_frames, variance * of_frames
     q = told / excess
     # Noise that most pixels refute was found and not read (`learned/belief.py`): no measure alone.
+    usual_square = MEDIAN_SIZE**2 if parts == 1.0 else np.log(2.0)  # medians of chi-square
     beside_all = told / max(float(np.median(told[used])) / usual_square, 1.0)
     alone = _alone(q)
     limit = _limit(alone, used)
@@ -266,30 +261,6 @@ def _excess_noise(q: Array, used: Mask) -> Array:
     typical = np.nan_to_num(np.fmin.reduce(typical, axis=0))
     excess = np.maximum(maximum_filter(typical, 3) / MEDIAN_SIZE**2, 1.0)
     return np.repeat(np.repeat(excess, BLOCK_PX, 0), BLOCK_PX, 1)[:rows, :cols]
-
-
-def _of_frames(
-    r: Array, variance: Array, contrast: Array, used: Mask, usual_square: float
-) -> Array:
-    """Return [frame 1 1] by how much more a frame varies than it should where it is calm, or 1.
-
-    As one of a shorter exposure that was divided by it; what moves is in less than half of that.
-
-    Parameters
-    ----------
-    r, variance : [frame row col] residuals, and what their squares should be
-    contrast : [frame row col] squares of the slopes
-    usual_square : the median of squares of noise over their mean
-    """
-    found = np.ones((len(r), 1, 1), variance.dtype)
-    for k, on in enumerate(used):
-        if on.any():
-            calm = on & (contrast[k] <= np.quantile(contrast[k][on], CALM_SHARE))
-            own = np.abs(r[k][calm] - r[k][calm].mean()) ** 2 / variance[k][calm]
-            more = float(np.median(own)) / usual_square
-            if more > 1.0 + SIGNIFICANT * MEDIAN_ERROR / np.sqrt(calm.sum()):
-                found[k] = more
-    return found
 
 
 def _alone(q: Array) -> Mask:
