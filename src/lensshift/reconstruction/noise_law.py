@@ -8,7 +8,7 @@ pass this give level and slope; the slope counts as far as they tell it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -42,6 +42,7 @@ class NoiseLaw:
     a, b : level and slope
     darkest, brightest : range of light that was seen; beyond it the variance is that at its end
     ceiling : whether texture may be in all that was seen, and there is less noise
+    of_frames : variance of each frame over that, 1 of all if empty
     """
 
     sigma: float
@@ -50,32 +51,48 @@ class NoiseLaw:
     darkest: float
     brightest: float
     ceiling: bool = False
+    of_frames: tuple[float, ...] = ()
 
     @property
     def coefficients(self) -> dict[str, float]:
         """Level and slope by name."""
         return {"a": self.a, "b": self.b}
 
+    @property
+    def noise_of_frames(self) -> dict[str, list[float]]:
+        """Standard deviation of each frame by name, nothing if they are alike."""
+        if not self.of_frames:
+            return {}
+        return {"noise_of_frames": (self.sigma * np.sqrt(self.of_frames)).tolist()}
+
     def scaled(self, unit: float, level: float) -> NoiseLaw:
         """Return the law of y * unit + level."""
-        return NoiseLaw(
-            self.sigma * unit,
-            self.a * unit**2 - self.b * unit * level,
-            self.b * unit,
-            self.darkest * unit + level,
-            self.brightest * unit + level,
-            self.ceiling,
+        return replace(
+            self,
+            sigma=self.sigma * unit,
+            a=self.a * unit**2 - self.b * unit * level,
+            b=self.b * unit,
+            darkest=self.darkest * unit + level,
+            brightest=self.brightest * unit + level,
         )
 
     def times(self, factor: float) -> NoiseLaw:
         """Return the law of so many times the noise."""
         a, b = self.a * factor**2, self.b * factor**2
-        return NoiseLaw(self.sigma * factor, a, b, self.darkest, self.brightest)
+        return replace(self, sigma=self.sigma * factor, a=a, b=b, ceiling=False)
+
+    def of_other_frames(self, variance: Floats, light: float) -> NoiseLaw:
+        """Return the law of frames [frame] that have these variances where the light is this."""
+        relative = variance / max(float(self.variance(np.array(light))), 1e-300)
+        mean = float(relative.mean())
+        of_frames = tuple((relative / mean).tolist())
+        return replace(self.times(math.sqrt(mean)), of_frames=of_frames)
 
     def variance(self, light: Array) -> Floats:
-        """Return the variance at each pixel."""
+        """Return the variance at each pixel, [frame row col] if it differs between frames."""
         seen = np.clip(light, self.darkest, self.brightest)
-        return np.asarray(self.a + self.b * seen, np.float64)
+        variance = np.asarray(self.a + self.b * seen, np.float64)
+        return variance * np.array(self.of_frames)[:, None, None] if self.of_frames else variance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +130,7 @@ def noise_law(
     offset = np.round(offset_px[some] - offset_px[some[0]], 6)  # what rounding adds is no new case
     cut = np.zeros(y[some].shape, np.bool_) if silent is None else silent[some]
     whole, components = (y[some], weight[some] > 0, cut), 2 if y.dtype.kind == "c" else 1
-    seen, used, cut = map(_windows, whole)
+    seen, used, cut = map(windows, whole)
     if not used.any():  # what is valid lies between the windows
         seen, used, cut = (one[None] for one in whole)
     parts = [seen.real, seen.imag][:components]
@@ -142,7 +159,7 @@ def constant_noise(sigma: float, *, ceiling: bool = False) -> NoiseLaw:
     return NoiseLaw(sigma, sigma**2, 0.0, -np.inf, np.inf, ceiling)
 
 
-def _windows(values: Array) -> Array:
+def windows(values: Array) -> Array:
     """Return parts [window frame row col] spread over the frames, or all of small ones."""
     starts, sides = [], []
     for size in values.shape[1:]:

@@ -57,7 +57,7 @@ def auto(problem: Problem, request: Request) -> Estimate:
         image=image,
         uncertainty=std if request.std else None,
         noise_sigma=max(law.sigma, least),
-        notes=dict(found.notes) | {"noise_law": in_units.coefficients},
+        notes=dict(found.notes) | {"noise_law": in_units.coefficients} | in_units.noise_of_frames,
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.reconstruction.clipping import silent_pixels
+from lensshift.reconstruction.frame_noise import with_frames
 from lensshift.reconstruction.noise import light_of
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, noise_law
 from lensshift.reconstruction.problem import Problem, some_pixels
@@ -105,9 +106,9 @@ def _estimated_noise(problem: Problem) -> NoiseLaw:
     some = np.any(weight > 0, axis=(1, 2))
     if plain and np.count_nonzero(some) >= LEAST_FRAMES:
         silent = None if y.dtype.kind == "c" else silent_pixels(y, problem.clipped)[some]
-        law = noise_law(
-            problem.offset_px[some], y[some], weight[some], problem.blur_sigma_px, silent
-        )
+        at, blur_px = problem.offset_px, problem.blur_sigma_px
+        law = noise_law(at[some], y[some], weight[some], blur_px, silent)
         if law is not None:
-            return law
+            # Fine texture all over is in some frames more than in others, as noise would be.
+            return law if law.ceiling else with_frames(law, at, y, problem.telling_weight, blur_px)
     return constant_noise(problem.shown_noise.sigma, ceiling=problem.even_noise)
