@@ -212,14 +212,14 @@ def _typical_chi_square(pictures: Tones) -> float:
 def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     """Return the distance [row col] of all frequencies, and its standard deviation.
 
-        n = argmin  C_n / max(1, min C / (F - 1)) + 9 mean_around |d_n - d_around| 2f / c
+        n = argmin  C_n / max(1, min C / (F - 1)) + 9 mean_around min(1, |d_n - d_around| 2f / c)
 
-    A pixel that is sure and like three around keeps the turn of its own phases. Any other takes
-    the one that its phases and those around ask for: all around a turn away are worth 3 sigma. A
-    pixel that sees two surfaces has phases of none, fits no turn, and must be among or between the
-    surfaces near it. Turns that no surface has are not asked. The variance is what phases allow,
-    more where they contradict each other, and the square of how far the other turns are, by how
-    likely they are.
+    A pixel that is sure and like three around keeps the turn of its own phases. Any other asks its
+    phases and those around: all of them a turn away, or farther as the wall behind a pole is, are
+    worth 3 sigma. A pixel that sees two surfaces has phases of none, fits no turn, and must be
+    among or between the surfaces near it. Turns that no surface has are not asked. Of these pixels the
+    distance is the mean over all turns, by how likely they are, and their variance is in that of
+    it; besides there is what phases allow, more where they contradict each other.
     """
     found_m, least, sure = pictures.alone()
     doubt = np.maximum(least / max(len(pictures.hz) - 1, 1), 1.0)
@@ -237,7 +237,7 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     found_m[asked] = _least(tried_m, cost)
     for _ in range(ROUNDS):
         before_m = found_m[asked]
-        total = cost + SURE * _apart_m(tried_m, found_m, asked) / pictures.turn_m
+        total = cost + SURE * _apart(tried_m, found_m, asked, pictures.turn_m)
         found_m[asked] = _least(tried_m, total)
         if np.array_equal(before_m, found_m[asked]):
             break
@@ -250,6 +250,7 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     likely = np.exp(0.5 * (total.min(axis=0) - total))
     likely /= likely.sum(axis=0)
     contradiction = np.maximum(_least(cost, total) / max(len(pictures.hz) - 1, 1), 1.0)
+    found_m[asked] = np.sum(likely * tried_m, axis=0)
     others = np.sum(likely * (tried_m - found_m[asked]) ** 2, axis=0)
     std_m[asked] = np.sqrt(some.sigma_m**2 * doubt[asked] * contradiction + others)
     return found_m, std_m
@@ -303,15 +304,18 @@ def _alike(distance_m: Array, sigma_m: Array, turn_m: float) -> NDArray[np.int_]
     return count
 
 
-def _apart_m(tried_m: Array, distance_m: Array, asked: Mask) -> Floats:
-    """Return how far [turn pixel] the pixels `asked` would be from their 8 neighbours, the mean."""
+def _apart(tried_m: Array, distance_m: Array, asked: Mask, turn_m: float) -> Floats:
+    """Return by how much of a turn [turn pixel] the 8 neighbours of pixels would be away, the mean.
+
+    At most one of each.
+    """
     rows, cols = distance_m.shape
     wide_m = np.pad(distance_m, 1, mode="edge")
-    apart_m = np.zeros(tried_m.shape)
+    apart = np.zeros(tried_m.shape)
     for down, right in AROUND:
         near_m = wide_m[down : down + rows, right : right + cols]
-        apart_m += np.abs(tried_m - near_m[asked])
-    return apart_m / len(AROUND)
+        apart += np.minimum(np.abs(tried_m - near_m[asked]) / turn_m, 1.0)
+    return apart / len(AROUND)
 
 
 def _least(values: Array, cost: Array) -> Floats:
