@@ -217,9 +217,9 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     A pixel that is sure and like three around keeps the turn of its own phases. Any other asks its
     phases and those around: all of them a turn away, or farther as the wall behind a pole is, are
     worth 3 sigma. A pixel that sees two surfaces has phases of none, fits no turn, and must be
-    among or between the surfaces near it. Turns that no surface has are not asked. Of these pixels the
-    distance is the mean over all turns, by how likely they are, and their variance is in that of
-    it; besides there is what phases allow, more where they contradict each other.
+    among or between the surfaces near it. Turns that no surface has are not asked. Of these pixels
+    the distance is the mean over all turns, by how likely they are, and their variance is in that
+    of it; besides there is what phases allow, more where they contradict each other.
     """
     found_m, least, sure = pictures.alone()
     doubt = np.maximum(least / max(len(pictures.hz) - 1, 1), 1.0)
