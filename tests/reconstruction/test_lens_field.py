@@ -260,3 +260,28 @@ def test_a_frame_is_predicted_with_its_own_spot_and_an_offset_with_that_of_all(s
         np.testing.assert_allclose(predict(k), seen(SQUARE[k], *own), atol=1e-12)
     mean = [None if of is None else of.mean(axis=0)[None] for of in known]
     np.testing.assert_allclose(predict((0.1, 0.2)), seen(np.array([0.1, 0.2]), *mean), atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("channel", ["amplitude", "phasor"])
+def test_pixels_that_coma_and_gaps_hide_have_errors_and_a_misfit(channel: str, seed: int) -> None:
+    """Taps of skewed responses fade below 0: beside pixels left out, sums over frames may, too."""
+    rng = np.random.default_rng(seed)
+    field = curved_field(skew_px3=float(rng.choice([-0.15, 0.15])))
+    burst, truth = world(seed, 0.2, SQUARE, field)
+    valid = np.ones(burst.amplitude.shape, bool)
+    for _ in range(8):
+        row, col = rng.integers(0, SHAPE[0]), rng.integers(0, SHAPE[1])
+        valid[:, row : row + rng.integers(1, 5), col : col + rng.integers(1, 5)] = False
+    known = {"amplitude": burst.amplitude, "valid": valid, "offset_px": SQUARE, "pitch_mm": 0.1}
+    known["distance_m"] = np.full(burst.amplitude.shape, 3.0)
+    found = reconstruct(
+        Burst.from_arrays(**known, modulation_hz=20e6), SCALE, channel=channel, lens_field=field
+    ).amplitude
+    assert found is not None
+    assert found.misfit is not None
+    assert np.all(np.isfinite(found.image))
+    assert np.all(np.asarray(found.std) > 0)
+    assert np.all(found.misfit >= 0)
+    hr = np.repeat(np.repeat(valid.all(axis=0), SCALE, 0), SCALE, 1)
+    assert np.abs(found.image - truth)[hr].max() < 0.5 * np.ptp(truth)

@@ -109,7 +109,7 @@ def solve_penalised(
         return out
 
     # Each HR pixel is seen with about the same kernel, so its share of A^T A goes with A^T w.
-    diagonal = A.adjoint(weight)
+    diagonal = np.maximum(A.adjoint(weight), 0)  # skewed responses have taps below 0
     diagonal *= square * diagonal.size / weight.size
     diagonal += 1e-9 if diagonal.dtype == np.float64 else 1e-6  # where no LR pixel looks
     add_laplacian_diagonal(coefficients, directions, diagonal)

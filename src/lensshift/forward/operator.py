@@ -37,6 +37,23 @@ def single(values: Array) -> Array:
     return values.astype(np.complex64 if values.dtype.kind == "c" else np.float32, copy=False)
 
 
+def mean_seen(A: LinearOperator, values: Array, weight: Array) -> Array:
+    """Return at each HR pixel the mean of values of at least 0 over the LR pixels that see it.
+
+        A^T (w v) / A^T w,   0 <= it <= max v
+
+    Skewed responses have taps below 0 where they fade, so beside LR pixels without weight neither
+    sum is sure to be positive; a mean stays among what it is of.
+
+    Parameters
+    ----------
+    values, weight : [frame row col]; weights of at least 0
+    """
+    mean = A.adjoint(weight * values) / np.maximum(A.adjoint(weight), 1e-9)
+    most = float(np.max(values, where=weight > 0, initial=0.0))
+    return np.clip(mean, 0.0, most, out=mean)
+
+
 def by_parts(apply: Callable[[Array], Array], values: Array) -> Array:
     """Apply a real linear map to the real and to the imaginary part of values.
 

@@ -15,7 +15,7 @@ from scipy.ndimage import find_objects, label, maximum, maximum_filter
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.core.local_means import mean_around
-from lensshift.forward.operator import LinearOperator, single
+from lensshift.forward.operator import LinearOperator, mean_seen, single
 from lensshift.reconstruction.displacement import (
     ALLOWED_SHIFT_PX,
     MOST_SQUARE,
@@ -234,8 +234,8 @@ def find_misfit(A: LinearOperator, image: Array, y: Array, sigma: Floats, scale:
     if np.count_nonzero(doubt > 1.0) < WINDOW_PX:  # what contradicts does so in all that see it
         doubt = np.minimum(doubt, 1.0)
     more = bool(np.count_nonzero((unlit > 1.0) & (doubt > 1.0)) >= WINDOW_PX)
-    chi, lit = square / noise * seen, A.adjoint(seen)
-    chi_square = np.where(lit > 1e-9, A.adjoint(chi) / np.maximum(lit, 1e-9), 1.0)
+    chi = square / noise * seen
+    chi_square = np.where(A.adjoint(seen) > 1e-9, mean_seen(A, chi, seen), 1.0)
     unexplained = _unexplained(A, chi, noise, seen * ~alone, parts)
     usual = np.array([s[u].mean() if u.any() else np.inf for s, u in zip(sigma, used, strict=True)])
     unsure = frozenset(np.flatnonzero(usual > UNSURE * usual.min()).tolist())
@@ -280,12 +280,13 @@ def _limit(alone: Mask, used: Mask) -> float:
 def _unexplained(A: LinearOperator, chi: Array, noise: Array, seen: Array, parts: float) -> Floats:
     """Return [row col] the size of what chance does not explain of chi-square, where seen."""
     nearby, count = (mean_around(v, 3, zeros=True) for v in (chi * seen, seen))
-    pooled, samples = A.adjoint(nearby), np.maximum(A.adjoint(count), 1e-9)
+    pooled = mean_seen(A, nearby / np.maximum(count, 1e-9), count)
+    samples = np.maximum(A.adjoint(count), 1e-9)
     ones = np.maximum(A.adjoint(np.ones_like(seen)), 1e-9)
     number = 9 * len(seen) * parts * samples / ones
     chance = 1.0 + SIGNIFICANT * np.sqrt(2.0 / np.maximum(number, 1.0))
-    excess = np.maximum(pooled / samples / chance - 1.0, 0.0)
-    return np.sqrt(excess * A.adjoint(noise * seen) / np.maximum(A.adjoint(seen), 1e-9))
+    excess = np.maximum(pooled / chance - 1.0, 0.0)
+    return np.asarray(np.sqrt(excess * mean_seen(A, noise, seen)))
 
 
 def _brightness(

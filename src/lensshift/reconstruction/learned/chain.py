@@ -91,7 +91,7 @@ class Chain:
     ) -> tuple[Picture, Single, Single, Any]:
         """Return picture, what is said of its error, the weights, rms of the last step over s."""
         xp = self.on.xp
-        density, floor = self.A.adjoint(self.weight), self.floor
+        density, floor = self.seen(self.weight), self.floor
         noise: Single = 1 / xp.sqrt(density + floor)
         used = xp.ones_like(self.weight) * (self.weight > 0)
         stages, share = len(prior.numbers["trust"]), self._around(used)
@@ -104,7 +104,7 @@ class Chain:
             r = self.y - self.A.forward(v)
             size = self._size(r)
             robust = self._believed(size, used, share, forgive, doubt)
-            mass = self.A.adjoint(robust)
+            mass = self.seen(robust)
             if on_stage is not None:
                 left = _total(xp, robust * size**2) / _total(xp, robust > 0)
                 on_stage(t + 1, xp.sqrt(left))
@@ -147,6 +147,11 @@ class Chain:
         size: Single = xp.abs(r)
         return size * 0.5**0.5 if r.dtype == xp.complex64 else size
 
+    def seen(self, weight: Single) -> Single:
+        """Return how much weight sees each HR pixel; skewed responses have taps below 0."""
+        seen: Single = self.on.xp.clip(self.A.adjoint(weight), 0, None)
+        return seen
+
     @property
     def floor(self) -> float:
         """What counts as weight where no frame sees an HR pixel."""
@@ -161,6 +166,9 @@ class Chain:
 
         b = self.A.adjoint(self.weight * self.y)
         x: Picture = b / (density + self.floor * 1e-3)
+        xp = self.on.xp
+        most = xp.amax(xp.abs(self.y), (1, 2, 3))[:, None, None]
+        x *= xp.clip(most / xp.clip(xp.abs(x), TINY, None), None, 1)  # a mean of the frames
         lowest, diagonal = _sigmoid(numbers["lowest"][0]), density + 8 * START_STIFFNESS
         return chebyshev(apply, b - apply(x), x, diagonal, lowest, START_STEPS), x
 

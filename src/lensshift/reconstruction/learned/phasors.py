@@ -19,7 +19,7 @@ from scipy.special import expit
 from lensshift.core.arrays import Array, Floats
 from lensshift.core.local_means import gaussian_around, mean_around
 from lensshift.core.units import within_half_a_turn
-from lensshift.forward.operator import LinearOperator, single
+from lensshift.forward.operator import LinearOperator, mean_seen, single
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX, WINDOW_PX, slopes_of
 from lensshift.reconstruction.learned.finer import means, seen_finer, std_of_means
 from lensshift.reconstruction.learned.pooling import pooled_phase
@@ -160,11 +160,11 @@ def _second_phase(
     light = np.maximum(np.abs(seen), max(least, TINY))
     theta = mean + np.where(used, np.angle(asked.y * seen.conj()), 0.0)
     other = solve(replace(asked, y=theta, sigma=asked.sigma / light, general=True))
-    every = np.maximum(A.adjoint(np.ones(light.shape, np.float32)), TINY)
+    every = np.ones(light.shape, np.float32)
     bias = within_half_a_turn(np.angle(seen) - mean)
-    bias_2, around = (A.adjoint(single(values)) / every for values in (bias**2, light))
+    bias_2, around = (mean_seen(A, single(values), every) for values in (bias**2, light))
     share = np.clip(a / np.maximum(around, TINY), LEAST_LEFT, 1.0)
-    variance = (other.std**2 + scale**4 * np.maximum(bias_2, 0.0)) / share**2
+    variance = (other.std**2 + scale**4 * bias_2) / share**2
     apart = within_half_a_turn(other.image - phase)
     p = _odds(asked, image, image * np.exp(1j * apart), scale)
     return _mixed(np.zeros_like(apart), apart, p, std_rad**2, variance)
@@ -204,5 +204,5 @@ def _odds(
     squares = (np.abs(asked.y - view) ** 2 / 2 / variance for view in views)
     apart = np.subtract(*(np.where(used, square, 0.0).sum(axis=0) for square in squares))
     around = WINDOW_PX**2 * mean_around(apart, WINDOW_PX, zeros=True)
-    odds = single(np.broadcast_to(expit(around / 2), used.shape) * used)
-    return np.asarray(A.adjoint(odds) / np.maximum(A.adjoint(single(used)), 1e-9), np.float64)
+    odds = single(np.broadcast_to(expit(around / 2), used.shape))
+    return np.asarray(mean_seen(A, odds, single(used)), np.float64)

@@ -92,7 +92,7 @@ def pictures_of(model: ForwardModel, y: Array, sigma: Floats) -> list[Array]:
     A, none = COMPILED.operator(model), np.empty(0, np.float32)
     turn = turn_of(model.mean_offset_px)
     chain = Chain(A, z, relative, weight, none, model.scale, turn, COMPILED)
-    density = A.adjoint(weight)
+    density = chain.seen(weight)
     v, _ = chain.start(density, learned_weights("brightness")[1])
     mass, r = density + chain.floor, z - A.forward(v)
     noise = 1 / np.sqrt(mass)
