@@ -27,7 +27,9 @@ class PointOptions:
     focal_length_mm: float | None = option(None, "Focal length.")
     lens: str | None = option(None, "Trace this lens (a name or a file) for directions.")
     normals: bool = option(False, "Normals in .ply and .pcd.")
-    keep_flying: bool = option(False, "Keep pixels between surfaces in .ply and .pcd.")
+    keep_flying: bool = option(
+        False, "Keep pixels between surfaces, or that no frame shows, in .ply and .pcd."
+    )
 
     def intrinsics(self, grid: Grid, known: Intrinsics | None) -> Intrinsics | None:
         """Return where the pixels of a camera look: as told here, else what is known."""

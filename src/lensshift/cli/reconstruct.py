@@ -225,6 +225,10 @@ def say_channels(current: Session, result: Reconstruction) -> None:
             if number is not None:
                 unit = " m" if (name, label) == ("distance", "noise_sigma") else ""
                 current.say(f"  {label.replace('_', ' '):<13}{number:.4g}{unit}")
+        if unseen := estimate.notes.get("unseen"):
+            channels[name]["unseen"] = unseen
+            share = f"{100 * unseen:.2g} % of the pixels, drawn as what is beside them"
+            current.say(f"  {'hardly seen':<13}{share}")
 
 
 def _reconstruct(

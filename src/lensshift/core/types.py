@@ -328,7 +328,8 @@ class Reconstruction(Shown, AsDataset):
     scale : upscaling factor
     method : registered name of the method
     settings : everything else the caller or `auto` chose
-    flying : [row col] pixels between two surfaces, by the phasor channel; else None
+    flying : [row col] pixels between two surfaces, or that frames hardly show, by the phasor
+        channel; else None
     intrinsics : where the pixels of the HR grid look, or None if the burst did not say
     """
 
@@ -372,7 +373,7 @@ class Reconstruction(Shown, AsDataset):
         ----------
         intrinsics : of the HR grid (those of the LR grid: `.refine(scale)`); None: those that
             the burst came with
-        keep_flying : whether pixels that mix two surfaces are kept
+        keep_flying : whether pixels that mix two surfaces, or that no frame shows, are kept
         normals : whether normals are computed
 
         Raises

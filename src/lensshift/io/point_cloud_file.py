@@ -5,7 +5,7 @@ PLY and PCD are binary and little endian; lengths are in metres, x right, y down
     x y z                       float
     normal_x normal_y normal_z  float   (PLY: nx ny nz)
     amplitude, std              float   std of the distance along the ray
-    flying                      uchar   1 where the pixel mixes two surfaces
+    flying                      uchar   1 where the pixel mixes two surfaces, or no frame shows it
 
 Sources: Turk, The PLY polygon file format (1994); Point Cloud Library, The PCD file format 0.7.
 """

@@ -11,7 +11,7 @@ HR grid. For each channel `c`, which is `amplitude` or `distance`:
     c_confidence     [frame lr_row lr_col]   weight of each LR pixel, 0 .. 1
     c_objective      [c_iteration]
     seen_..., c_gain, c_bias                 what predictions need, see `io.prediction_fields`
-    flags            [row col]               CF flags, bit 0: flying, between two surfaces
+    flags            [row col]               CF flags, bit 0: flying, or in a gap of the frames
     direction        [row col xyz]           where each pixel looks, see `io.intrinsics_fields`
     attributes: pitch_mm (row, col) of the HR grid, scale, method, settings (JSON), those of a
         pinhole

@@ -16,6 +16,7 @@ from lensshift.reconstruction.learned.noise import noise_map, rounded_std
 from lensshift.reconstruction.learned.phasors import finished, with_finer_amplitude
 from lensshift.reconstruction.learned.residual import less_noise
 from lensshift.reconstruction.learned.solver import Asked, Solution, solve_together
+from lensshift.reconstruction.learned.unseen import with_gaps
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
 from lensshift.reconstruction.problem import Problem, blur_width_px
@@ -44,7 +45,7 @@ def auto(problem: Problem, request: Request) -> Estimate:
         law = law.times(less_noise(asked, partial(_picture, request=request)))
         known = law.scaled(problem.intensity, problem.level)
         law, least, noise = noise_map(problem, known)
-    found, std = solved(problem, noise, request)
+    found, std = with_gaps(problem, *solved(problem, noise, request))
     if std.ndim == 3:  # of a complex picture, that of a component
         std = np.sqrt(np.mean(std**2, axis=0))
     std = np.hypot(std, rounded_std(problem, law))

@@ -26,6 +26,7 @@ from lensshift.reconstruction.classical import Tikhonov, Tv
 from lensshift.reconstruction.learned.method import solved
 from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.phasors import NO_PHASE_RAD
+from lensshift.reconstruction.learned.unseen import LEAST_SEEN, share_seen, with_gaps
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import ESTIMATED
 from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
@@ -56,12 +57,14 @@ class PhasorResult:
     Parameters
     ----------
     amplitude, distance_m : estimates on the HR grid
-    flying : [row col] pixels that lie between two surfaces
+    flying : [row col] pixels that lie between two surfaces, or that frames hardly show
+    unseen : [row col] the latter
     """
 
     amplitude: Estimate
     distance_m: Estimate
     flying: Mask
+    unseen: Mask
 
 
 def reconstruct_phasor(
@@ -137,7 +140,8 @@ def _agreed(hz: tuple[float, ...], each: list[PhasorResult], request: Request) -
         finest_m = distance_m if fine_m is None else fine_m
         light, far = phasor_predictors(seen.phasor, finest_m, seen.distance)
         amplitude, distance = replace(amplitude, predict=light), replace(distance, predict=far)
-    return PhasorResult(amplitude, distance, flying_pixels(distance_m, noise_m=std_m))
+    flying = flying_pixels(distance_m, noise_m=std_m) | highest.unseen
+    return PhasorResult(amplitude, distance, flying, highest.unseen)
 
 
 def _one_frequency(
@@ -188,13 +192,15 @@ def _check(method: str, request: Request) -> None:
 def _learned(problem: Problem, sigma: Floats, request: Request) -> Estimate:
     """Return the complex picture with the std [2 row col] of amplitude and phase in radians."""
     found, std = solved(problem, sigma, request)
+    std[0] *= AMPLITUDE_STD_SCALE
+    found, std = with_gaps(problem, found, std)
     amplitude = np.abs(found.image)
     of_phase_rad = np.minimum(std[1] / np.maximum(amplitude, 1e-12), NO_PHASE_RAD)
     phase_rad, of_phase_rad = within_reach(
         np.angle(found.image), of_phase_rad, problem.y, problem.weight > 0, problem.offset_px,
         problem.scale,
     )  # fmt: skip
-    spread = np.stack([AMPLITUDE_STD_SCALE * std[0], of_phase_rad])
+    spread = np.stack([std[0], of_phase_rad])
     return replace(
         found,
         image=from_polar(amplitude, phase_rad),
@@ -263,7 +269,9 @@ def _result(
         predict=PhasorPredictor(frame, scale),
     )
     std_m = distance.uncertainty if isinstance(distance.uncertainty, np.ndarray) else noise_m
-    return PhasorResult(amplitude, distance, flying_pixels(distance_m, noise_m=std_m))
+    unseen = share_seen(problem.model.operator, problem.weight > 0) < LEAST_SEEN
+    flying = flying_pixels(distance_m, noise_m=std_m) | unseen
+    return PhasorResult(amplitude, distance, flying, unseen)
 
 
 def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> Mask:
