@@ -10,6 +10,7 @@ import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.types import Estimate, Status
+from lensshift.reconstruction.learned.behind_spots import wider_behind_spots
 from lensshift.reconstruction.learned.belief import as_predicted, refuted
 from lensshift.reconstruction.learned.finer import finer_grid, of_larger_pixels, seen_finer
 from lensshift.reconstruction.learned.noise import noise_map, rounded_std
@@ -45,7 +46,9 @@ def auto(problem: Problem, request: Request) -> Estimate:
         law = law.times(less_noise(asked, partial(_picture, request=request)))
         known = law.scaled(problem.intensity, problem.level)
         law, least, noise = noise_map(problem, known)
-    found, std = with_gaps(problem, *solved(problem, noise, request))
+    found, std = solved(problem, noise, request)
+    std = std * wider_behind_spots(problem, noise)
+    found, std = with_gaps(problem, found, std)
     if std.ndim == 3:  # of a complex picture, that of a component
         std = np.sqrt(np.mean(std**2, axis=0))
     std = np.hypot(std, rounded_std(problem, law))

@@ -23,6 +23,7 @@ from lensshift.forward.prediction import (
     phasor_predictors,
 )
 from lensshift.reconstruction.classical import Tikhonov, Tv
+from lensshift.reconstruction.learned.behind_spots import wider_behind_spots
 from lensshift.reconstruction.learned.method import solved
 from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.phasors import NO_PHASE_RAD
@@ -192,7 +193,7 @@ def _check(method: str, request: Request) -> None:
 def _learned(problem: Problem, sigma: Floats, request: Request) -> Estimate:
     """Return the complex picture with the std [2 row col] of amplitude and phase in radians."""
     found, std = solved(problem, sigma, request)
-    std[0] *= AMPLITUDE_STD_SCALE
+    std[0] *= AMPLITUDE_STD_SCALE * wider_behind_spots(problem, sigma)
     found, std = with_gaps(problem, found, std)
     amplitude = np.abs(found.image)
     of_phase_rad = np.minimum(std[1] / np.maximum(amplitude, 1e-12), NO_PHASE_RAD)
