@@ -192,13 +192,46 @@ def test_what_was_half_written_is_made_anew(film: Path, tmp_path: Path):
         file.write(bytes(3))
         file.seek(starts["distance"] + 4 * 3 * 18 * 28)
         file.write(bytes(1000))
-    before = load_window(whole.path, 3).distance_m.image
+    before = pictures(whole.path)["distance"][3]
+    with pytest.raises(DataError, match="there is no window 3 yet: 8 of 11 windows were written"):
+        load_window(whole.path, 3)
     whole.path.rename(tmp_path / "again.nc.part")
     found = reconstruct_recording(film, tmp_path / "again.nc", window=4)
     assert found.resumed == 8
     again = load_window(found.path, 3).distance_m.image
     assert before[0, 0] == 0
     assert again.min() > 3
+
+
+def test_frames_that_were_not_written_are_no_dark_ones(tmp_path: Path):
+    with pytest.raises(DataError, match="expected 50 frames, got 46"):
+        write_recording(tmp_path / "film.nc", 50, parts(46))
+    begun = (tmp_path / "film.nc.part").rename(tmp_path / "copied.nc")
+    with pytest.raises(DataError, match="46 of 50 frames were written before it was broken off"):
+        lensshift.load_burst(begun)
+    with pytest.raises(DataError, match="46 of 50 frames"):
+        reconstruct_recording(begun, tmp_path / "sr.nc")
+
+
+def test_a_sequence_that_was_broken_off_says_so(film: Path, tmp_path: Path):
+    def cut(done: int, total: int) -> None:
+        if done >= 6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct_recording(film, tmp_path / "sr.nc", window=4, on_progress=cut)
+    begun = (tmp_path / "sr.nc.part").rename(tmp_path / "copied.nc")
+    with pytest.raises(DataError, match="there is no window 6 yet"):
+        load_window(begun, 6)
+    assert load_window(begun, 5).distance_m.image.min() > 3
+    told = CliRunner().invoke(app, ["info", str(begun)]).output
+    assert "unfinished  6 of 11 windows" in told
+    assert "windows     6, of frames 0 to 20 on" in told
+    reader = pytest.importorskip("mcap_ros2.reader", reason="mcap is not installed")
+    stream = CliRunner().invoke(app, ["convert", str(begun), str(tmp_path / "w.mcap")])
+    assert "6 of 11 pictures are there" in stream.output
+    sent = reader.read_ros2_messages(tmp_path / "w.mcap", ["/lensshift/distance"])
+    assert len(list(sent)) == 6
 
 
 def test_two_processes_do_not_write_one_file(film: Path, tmp_path: Path):

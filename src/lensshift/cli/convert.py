@@ -66,6 +66,7 @@ def convert(current: Session, asked: _ConvertOptions) -> None:
 
 def _convert_stream(current: Session, asked: _ConvertOptions) -> None:
     """Write all pictures of a sequence, one of them, or a result, as a stream."""
+    from lensshift.core.errors import QualityWarning
     from lensshift.io import load_reconstruction, load_window
     from lensshift.io.sequence_file import sequence_numbers
     from lensshift.io.stream_export import export_stream
@@ -74,8 +75,12 @@ def _convert_stream(current: Session, asked: _ConvertOptions) -> None:
     if kind_of(source) is Kind.RECONSTRUCTION:
         export_stream([(0.0, _looking(load_reconstruction(source), asked.points))], target)
     else:
-        time_s = sequence_numbers(source)["time"]
-        numbers = range(len(time_s)) if window is None else (window,)
+        known = sequence_numbers(source)
+        time_s, written = known["time"], known["written"].nonzero()[0]
+        numbers = written.tolist() if window is None else [window]
+        if window is None and len(written) < len(time_s):
+            text = f"{source} was broken off: {len(written)} of {len(time_s)} pictures are there"
+            current.warn(text, QualityWarning, __file__, 0)
         with Progress(f"writing {target.name}") as progress:
             windows = (_looking(load_window(source, k), asked.points) for k in numbers)
             pictures = ((float(time_s[k]), one) for k, one in zip(numbers, windows, strict=True))

@@ -160,16 +160,23 @@ def _say_frames(
 
 
 def _say_sequence(current: Session, file: Path) -> None:
+    from lensshift.core.errors import DataError
     from lensshift.io import load_window
     from lensshift.io.sequence_file import sequence_numbers
 
     known = sequence_numbers(file)
-    first = known["first_frame"]
-    count, bad = len(first), int(known["contradicted"].sum())
-    current.say(f"windows     {count}, of frames {first[0]} to {first[-1]} on")
+    there = known["written"] != 0
+    written = [int(one) for one in there.nonzero()[0]]
+    if not written:
+        raise DataError("no picture was written before it was broken off", source=file)
+    first, count = known["first_frame"][there], len(there)
+    bad = int(known["contradicted"].sum())
+    if len(written) < count:
+        current.say(f"unfinished  {len(written)} of {count} windows; the same call goes on with it")
+    current.say(f"windows     {len(written)}, of frames {first[0]} to {first[-1]} on")
     current.say(f"contradicted by their frames: {bad}; all stages: {int(known['refined'].sum())}")
-    current.result |= {"windows": count, "contradicted": bad}
-    _say_result(current, load_window(file, 0))
+    current.result |= {"windows": count, "written": len(written), "contradicted": bad}
+    _say_result(current, load_window(file, written[0]))
 
 
 def _say_result(current: Session, result: Reconstruction) -> None:

@@ -87,6 +87,7 @@ def load_burst(path: str | Path) -> Burst:
     if is_capture(path):
         return burst_of_capture(*read_capture(path), Path(path))
     with open_container(path, SCHEMA) as container:
+        container.refuse_unfinished("frame")
         own = [name for name in container.names() if name.startswith(_RAW)]
         raw = {name.removeprefix(_RAW): container.array(name) for name in own}
         return _burst(container, (), raw=raw)
@@ -128,6 +129,7 @@ def open_recording(path: str | Path) -> Iterator[Recording]:
     if is_capture(path):
         raise DataError("the capture is not finished; resume it", source=path)
     with open_container(path, SCHEMA) as container:
+        container.refuse_unfinished("frame")
         yield Recording(container)
 
 

@@ -18,6 +18,7 @@ from lensshift.core.settings import parse_json
 from lensshift.io.reading import check_held, check_unpacked, reading, require_file
 
 GROUP = "entry/data"
+WRITTEN = "written"  # of `io.piecewise_file`
 OTHERS = (
     "load_image_stack reads images, and arrays of other programs from NPZ: amplitude, distance_m, "
     "valid ..."
@@ -92,6 +93,24 @@ class Container:
             if start is None:
                 raise DataError("expected one run of bytes", field=name)
             return int(start)
+
+    def written(self) -> NDArray[np.bool_] | None:
+        """Return which pieces [piece] of a file that is filled piece by piece are there."""
+        there = self.known(WRITTEN, kinds="ui")
+        return None if there is None else there != 0
+
+    def refuse_unfinished(self, piece: str, number: int | None = None) -> None:
+        """Raise a `DataError` if a piece (or the one of that number) was not written.
+
+        Space that was not filled holds zeros, which look like numbers that were measured.
+        """
+        there = self.written()
+        if there is None or (there.all() if number is None else there[number]):
+            return
+        said = f"{there.sum()} of {there.size} {piece}s were written before it was broken off"
+        one = "" if number is None else f"there is no {piece} {number} yet: "
+        cure = "the same call as before goes on with it"
+        raise DataError(f"{one}{said}; {cure}", source=self.path)
 
     def pairs(self, name: str, *, part: tuple[slice, ...] = ()) -> NDArray[np.float64]:
         """Read `name_row` and `name_col`, one number a frame each, as [frame 2]."""

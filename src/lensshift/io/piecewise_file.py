@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lensshift.core.atomic import GrowingFile, writable_target, written_whole
 from lensshift.core.errors import DataError, naming
 from lensshift.io.capture_file import lock
-from lensshift.io.container_reader import open_container
+from lensshift.io.container_reader import WRITTEN, open_container
 from lensshift.io.container_writer import (
     Allocated,
     Content,
@@ -29,8 +29,6 @@ from lensshift.io.container_writer import (
     sealed_text,
     write_hdf5,
 )
-
-WRITTEN = "written"
 
 
 class PiecewiseFile(GrowingFile):

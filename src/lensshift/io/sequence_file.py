@@ -26,7 +26,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics
 from lensshift.core.types import Estimate, Reconstruction, Status
 from lensshift.io import container_writer as writer
-from lensshift.io.container_reader import open_container
+from lensshift.io.container_reader import WRITTEN, open_container
 from lensshift.io.intrinsics_fields import intrinsics_variables
 from lensshift.io.piecewise_file import PiecewiseFile
 from lensshift.io.result_file import CHANNELS, picture_attributes, read_picture
@@ -88,9 +88,12 @@ def of_sequence(found: Reconstruction) -> dict[str, NDArray[Any]]:
 
 
 def sequence_numbers(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Read what a sequence says of each window [window]: first_frame, time, misfit and so on."""
+    """Read what a sequence says of each window [window]: first_frame, time, misfit and so on.
+
+    `written` is 0 where a sequence that was broken off has no picture yet.
+    """
     with open_container(path, SCHEMA) as container:
-        return {name: container.array(name) for name in _NUMBERS}
+        return {name: container.array(name) for name in (*_NUMBERS, WRITTEN)}
 
 
 def load_window(path: str | Path, number: int) -> Reconstruction:
@@ -99,12 +102,13 @@ def load_window(path: str | Path, number: int) -> Reconstruction:
     Raises
     ------
     DataError
-        If the file is missing, damaged or no sequence, or there is no such window.
+        If the file is missing, damaged or no sequence, or there is no such window (yet).
     """
     with open_container(path, SCHEMA) as container:
         count = container.shape("first_frame")[0]
         if not 0 <= number < count:
             raise DataError(f"expected a window from 0 to {count - 1}, got {number}")
+        container.refuse_unfinished("window", number)
         one = (slice(number, number + 1),)
         contradicted = bool(container.array("contradicted", part=one)[0])
         status = Status.CONTRADICTED if contradicted else Status.COMPLETE
