@@ -271,23 +271,33 @@ def test_what_frames_contradict_is_counted_and_named(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("step_px", "every"),  # the default run takes each once
+    ("step_px", "every", "said"),  # the default run takes each once
     [
-        (0.0, 4),
-        (0.01, 3),
-        pytest.param(0.0, 3, marks=pytest.mark.slow),
-        pytest.param(0.01, 4, marks=pytest.mark.slow),
+        (0.0, 4, True),
+        (0.01, 3, True),
+        (0.0, 3, False),
+        pytest.param(0.0, 3, True, marks=pytest.mark.slow),
+        pytest.param(0.01, 4, True, marks=pytest.mark.slow),
+        pytest.param(0.01, 3, False, marks=pytest.mark.slow),
     ],
 )
-def test_windows_that_show_nothing_stop_no_other(tmp_path: Path, step_px: float, every: int):
-    """The first frames and all of a task are dark; and one frame between."""
+def test_windows_that_show_nothing_stop_no_other(
+    tmp_path: Path, step_px: float, every: int, said: bool
+):
+    """The first frames and all of a task are dark; and one frame between.
+
+    said : their pixels are invalid; else all are alike, as where a camera is covered
+    """
     dark = np.isin(np.arange(60), [*range(7), 13, *range(20, 48)])
     shut = part(0, 60, step_px=step_px)
     valid = np.broadcast_to(~dark[:, None, None], shut.amplitude.shape)
-    film = write_recording(tmp_path / "film.nc", 60, [replace(shut, valid=valid)])
+    kept = replace(shut, valid=valid) if said else replace(
+        shut, amplitude=shut.amplitude * valid, distance_m=np.where(valid, shut.distance_m, 1)
+    )  # fmt: skip
+    film = write_recording(tmp_path / "film.nc", 60, [kept])
     found = reconstruct_recording(film, tmp_path / "sr.nc", every=every, psf_sigma_px=0.29)
-    said = sequence_numbers(found.path)
-    empty = [bool(dark[first : first + 4].all()) for first in said["first_frame"]]
+    numbers = sequence_numbers(found.path)
+    empty = [bool(dark[first : first + 4].all()) for first in numbers["first_frame"]]
     assert any(empty)
     for number, nothing in enumerate(empty):
         window = load_window(found.path, number)
@@ -296,8 +306,8 @@ def test_windows_that_show_nothing_stop_no_other(tmp_path: Path, step_px: float,
             assert (one.status is Status.CONTRADICTED) or not nothing
     assert recording.NOTHING in " ".join(found.said)
     # Its frames are those of the window alone, no dark place has one of a window before.
-    number = int(np.flatnonzero(said["first_frame"] <= 13)[-1])
-    first = int(said["first_frame"][number])
+    number = int(np.flatnonzero(numbers["first_frame"] <= 13)[-1])
+    first = int(numbers["first_frame"][number])
     window = range(first, first + 4)
     alone = lensshift.reconstruct(replace(shut, valid=valid).select(window), psf_sigma_px=0.29)
     got = load_window(found.path, number).amplitude

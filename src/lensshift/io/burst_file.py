@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core.defects import blank_frames
 from lensshift.core.errors import DataError, naming
 from lensshift.core.types import Burst, expect_burst
 from lensshift.io import container_writer as writer
@@ -111,10 +112,12 @@ class Recording:
         return _burst(self._container, (slice(first, first + count),))
 
     def shown(self, first: int, count: int) -> NDArray[np.bool_]:
-        """Return which of some frames [frame] have a valid pixel; a burst has one that does."""
+        """Return which of some frames [frame] show something: not the same in all valid pixels."""
         part = (slice(first, first + count),)
         valid = (self._container.array("flags", kinds="ui", part=part) & _INVALID) == 0
-        return np.asarray(valid.any(axis=(1, 2)))
+        images = [self._container.known(name, part=part) for name in ("amplitude", "distance")]
+        blank = [blank_frames(one, valid) for one in images if one is not None]
+        return np.asarray(valid.any(axis=(1, 2)) & ~np.all(blank, axis=0))
 
 
 @contextmanager

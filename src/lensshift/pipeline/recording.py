@@ -20,6 +20,7 @@ from lensshift.core.errors import QualityWarning, of_extra
 from lensshift.core.types import Burst, Frame, Reconstruction
 from lensshift.io.burst_file import Recording, open_recording
 from lensshift.io.piecewise_file import PiecewiseFile
+from lensshift.io.result_file import CHANNELS
 from lensshift.io.sequence_file import begin_sequence, of_sequence
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.reconstruction.stream import Pace, stream
@@ -29,7 +30,7 @@ from lensshift.reconstruction.stream import Pace, stream
 TASK_BYTES, MOST_WINDOWS = 16_000_000, 256
 SAME_PLACE_PX = 1e-9  # rounding
 AHEAD = 3  # tasks for each worker that are under way
-NOTHING = "none of its frames has a valid pixel"
+NOTHING = "none of its frames shows anything"
 SAID = 3  # contradictions of a task that are told in words
 
 
@@ -38,6 +39,7 @@ class Windows:
     """What is done with a recording; a worker needs no more.
 
     response : width of the pixel response that the example showed, with its error, as in `meta`
+    layout : shape and dtype of each field of a picture, those of the example
     """
 
     recording: str  # burst file, at a path that all workers know
@@ -51,6 +53,7 @@ class Windows:
     pace: Pace
     settings: Mapping[str, Any] = field(default_factory=dict)  # of `stream`
     response: Mapping[str, float] = field(default_factory=dict)
+    layout: Mapping[str, tuple[tuple[int, ...], str]] = field(default_factory=dict)
 
     def burst(self, source: Recording, first: int, count: int) -> Burst:
         """Return frames that tell the response."""
@@ -171,7 +174,7 @@ def solve_windows(job: Windows, first: int, count: int) -> Solved:
         time_s = None if burst is None else burst.time_s
         when_s = np.nan if time_s is None else float(np.mean(time_s[part]))
         rows.append({
-            **(_blank(job, template) if found is None else of_sequence(found)),
+            **_laid_out(job, found, wrong),
             "first_frame": np.array(start + part.start),
             "time": np.array(when_s),
             "refined": np.array(found is None or found.settings.get("pace") != "live"),
@@ -198,33 +201,45 @@ def _pictures(
                 found = reconstruct(burst.select(range(begin, begin + job.window)), **told)
             else:
                 for k in range(max(taken, begin), begin + job.window):
-                    camera.take(_frame(burst, k), place=(start + k) % job.window)
+                    frame = _frame(burst, k, shows=bool(shown[k]))
+                    camera.take(frame, place=(start + k) % job.window)
                 taken = begin + job.window
                 found = camera.picture()
         yield found, [str(one.message) for one in said]
 
 
-def _blank(job: Windows, template: Burst) -> dict[str, Array]:
-    """Return the fields of a window that shows nothing: no number, which frames contradict."""
-    with warnings.catch_warnings(action="ignore", category=QualityWarning):
-        like = of_sequence(reconstruct(template, job.scale, job.method, **dict(job.settings)))
+def _laid_out(job: Windows, found: Reconstruction | None, said: list[str]) -> dict[str, Array]:
+    """Return the fields of a picture; those it does not have, as one of nothing, have no number.
+
+    Parameters
+    ----------
+    said : what was said of it, to which what it does not have is added
+    """
     blank = {
-        name: np.full_like(one, np.nan if one.dtype.kind == "f" else 0)
-        for name, one in like.items()
+        name: np.full(shape, np.nan if np.dtype(dtype).kind == "f" else 0, dtype)
+        for name, (shape, dtype) in job.layout.items()
     }
-    return blank | {"contradicted": np.array(True)}
+    if found is None:
+        return blank | {"contradicted": np.array(True)}
+    fields = of_sequence(found)
+    said.extend(f"its frames tell no {name}" for name in CHANNELS if name in blank.keys() - fields)
+    return {name: fields.get(name, nothing) for name, nothing in blank.items()}
 
 
-def _frame(burst: Burst, k: int) -> Frame:
+def _frame(burst: Burst, k: int, *, shows: bool) -> Frame:
+    """Return a frame; without a valid pixel if it shows nothing, as the stream may not see."""
     distance_m = None if burst.distance_m is None else burst.distance_m[k]
     time_s = float("nan") if burst.time_s is None else float(burst.time_s[k])
-    return Frame(burst.amplitude[k], distance_m, burst.valid[k], time_s)
+    return Frame(burst.amplitude[k], distance_m, burst.valid[k] & shows, time_s)
 
 
 def _showing(source: Recording, window: int) -> int:
-    """Return where the first window is, side by side, of which any pixel is valid; 0 if none is."""
+    """Return where the first window is, side by side, that shows anything."""
     starts = range(0, source.frame_count - window + 1, window)
-    return next((one for one in starts if source.shown(one, window).any()), 0)
+    found = next((one for one in starts if source.shown(one, window).any()), None)
+    if found is None:
+        raise ValueError("none of its frames shows anything: all valid pixels are alike")
+    return found
 
 
 def _begun(
@@ -238,8 +253,10 @@ def _begun(
     if example.settings["psf_source"] == "frames":
         read = {name: example.settings[name] for name in ("psf_sigma_px", "psf_std_px")}
         job = replace(job, response=read)
+    like = of_sequence(example)
     changed_ns = Path(job.recording).stat().st_mtime_ns  # another one may have taken its name
     settings = asdict(job) | {"frames": source.frame_count, "changed_ns": changed_ns}
+    del settings["layout"]  # which the file has itself
     file = stack.enter_context(
         begin_sequence(
             out, job.count, example.grid, tuple(example.channels), scale=example.scale,
@@ -247,7 +264,9 @@ def _begun(
             intrinsics=example.intrinsics,
         )
     )  # fmt: skip
-    each = sum(one.nbytes for one in of_sequence(example).values())
+    layout = {name: (one.shape, one.dtype.str) for name, one in like.items()}
+    job = replace(job, layout=layout)
+    each = sum(one.nbytes for one in like.values())
     size = int(np.clip(TASK_BYTES // each, 1, MOST_WINDOWS))
     tasks = [(first, min(size, job.count - first)) for first in range(0, job.count, size)]
     return job, file, [(f, n) for f, n in tasks if not file.written[f : f + n].all()]
