@@ -234,6 +234,28 @@ def test_a_sequence_that_was_broken_off_says_so(film: Path, tmp_path: Path):
     assert len(list(sent)) == 6
 
 
+def test_phasors_are_not_halved(tmp_path: Path):
+    """Of complex pictures the real part was kept, as their amplitude."""
+    light = part(0, 8)
+    phasors = light.amplitude * np.exp(4j * np.pi * F_HZ / 299792458 * light.distance_m)
+    known = replace(light, amplitude=phasors, distance_m=None)
+    film = write_recording(tmp_path / "film.nc", 8, [known])
+    with pytest.raises(ValueError, match=r"complex.*take channel phasor of method auto"):
+        reconstruct_recording(film, tmp_path / "sr.nc", method="bicubic")
+    write_recording(tmp_path / "untold.nc", 8, [replace(known, modulation_hz=None)])
+    with pytest.raises(ValueError, match="tell the modulation: lensshift convert IN OUT"):
+        reconstruct_recording(tmp_path / "untold.nc", tmp_path / "sr.nc")
+    asked = [str(tmp_path / name) for name in ("untold.nc", "told.nc")]
+    told = CliRunner().invoke(app, ["convert", *asked, "--modulation-hz", str(F_HZ)])
+    assert told.exit_code == 0, told.output
+    again = CliRunner().invoke(app, ["convert", str(film), asked[1], "--modulation-hz", "2e7"])
+    assert "modulated at 1.5e+07 Hz; leave out --modulation-hz" in " ".join(again.output.split())
+    found = [reconstruct_recording(one, f"{one}.nc") for one in (film, tmp_path / "told.nc")]
+    first, second = (load_window(one.path, 1) for one in found)
+    np.testing.assert_array_equal(first.distance_m.image, second.distance_m.image)
+    assert abs(np.median(first.distance_m.image) - 3.5) < 0.02
+
+
 def test_two_processes_do_not_write_one_file(film: Path, tmp_path: Path):
     def second(done: int, total: int) -> None:
         with pytest.raises(DataError, match=r"sr.nc.part: another program is writing"):

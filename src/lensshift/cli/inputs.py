@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -13,7 +13,7 @@ import typer
 
 from lensshift.cli.session import picked
 from lensshift.cli.verbs import option
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, naming
 
 if TYPE_CHECKING:
     from lensshift.core.types import Burst
@@ -46,7 +46,7 @@ class StackOptions:
         "Where the frames lie in an array or a TIFF; default: first, if that can be.",
     )
     modulation_hz: list[float] | None = option(
-        None, "Modulation frequency of an image stack; again for each further one."
+        None, "Modulation frequency of frames that do not tell it; again for each further one."
     )
 
 
@@ -103,12 +103,22 @@ def _load(path: Path, options: StackOptions) -> Burst:
         )
     if kind is not Kind.BURST:
         raise DataError(f"expected a burst, got a {kind.value}", source=path)
-    if options != StackOptions():
+    if replace(options, modulation_hz=None) != StackOptions():
         raise typer.BadParameter(
             f"{path} is a burst file and says itself where its frames lie; leave out --offsets, "
-            "--pitch-mm, --key, --frame-axis and --modulation-hz"
+            "--pitch-mm, --key and --frame-axis"
         )
-    return load_burst(path)
+    burst = load_burst(path)
+    if options.modulation_hz is None:
+        return burst
+    if burst.modulation_hz is not None:
+        known = ", ".join(f"{hz:g}" for hz in burst.frequencies_hz)
+        raise typer.BadParameter(
+            f"{path} says itself that its light was modulated at {known} Hz; leave out "
+            "--modulation-hz"
+        )
+    with naming(path):
+        return replace(burst, modulation_hz=tuple(options.modulation_hz))
 
 
 def parse_pitch_mm(text: str) -> tuple[float, float]:

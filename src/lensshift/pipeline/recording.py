@@ -253,6 +253,13 @@ def _begun(
     if example.settings["psf_source"] == "frames":
         read = {name: example.settings[name] for name in ("psf_sigma_px", "psf_std_px")}
         job = replace(job, response=read)
+    if any(np.iscomplexobj(one.image) for one in example.channels.values()):
+        known = template.modulation_hz is not None
+        problem = f"the frames are complex, and so would be their pictures by {example.method}"
+        cure = "take channel phasor of method auto, tikhonov or tv"
+        tell = "tell the modulation: lensshift convert IN OUT --modulation-hz 20e6 says 20 MHz"
+        cure = cure if known else tell
+        raise ValueError(f"{problem}; a sequence holds amplitudes and distances: {cure}")
     like = of_sequence(example)
     changed_ns = Path(job.recording).stat().st_mtime_ns  # another one may have taken its name
     settings = asdict(job) | {"frames": source.frame_count, "changed_ns": changed_ns}
