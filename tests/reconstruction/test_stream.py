@@ -441,13 +441,15 @@ def test_phasors_without_distance_follow_by_a_factor_as_well():
 
 
 def test_a_frame_without_distances_is_computed():
-    mosaic, rng = phasor_mosaic(3, SHAPE), np.random.default_rng(0)
-    one = camera(pace="live", modulation_hz=15e6)
-    clean = clean_frames(mosaic.truth)
-    run(one, clean, 6, sigma=mosaic.sigma, rng=rng)
+    mosaic, valid = phasor_mosaic(3, SHAPE), np.ones(SHAPE, bool)
+    one, clean = camera(pace="live", modulation_hz=15e6), clean_frames(mosaic.truth)
+    far_m = np.mod(np.angle(clean), 2 * np.pi) / PER_M
+    for k in range(6):
+        found = one.step(Frame(np.abs(clean[k % 4]), far_m[k % 4], valid, float(k)))
+    assert found.settings["pace"] == "live"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", QualityWarning)
-        found = one.step(np.abs(clean[2]), place=2)
+        found = one.step(Frame(np.abs(clean[2]), None, valid, 6.0))
     assert found.settings["pace"] == "refined"
     assert found.settings["event"] is None
 
@@ -613,6 +615,29 @@ def test_one_pixel_contradicts_in_all_around_but_the_border(shape, inside, slope
 def test_what_cannot_be_is_refused(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+@pytest.mark.parametrize("waves", [True, False])
+def test_amplitudes_are_no_phasors_of_phase_zero(waves):
+    """Their distances came out as 0, with an error of centimetres."""
+    light = np.random.default_rng(3).uniform(1, 2, (4, 9, 12))
+    phasors = light * np.exp(2j)
+    first, second = (phasors, light) if waves else (light, phasors)
+    camera = lensshift.stream(SQUARE_PX, shape=(9, 12), modulation_hz=20e6)
+    for frame in first[:2]:
+        camera.take(frame)
+    with pytest.raises(ValueError, match=r"as the frames before, got (amplitudes|phasors)"):
+        camera.take(second[2])
+    assert camera.frames == (0, 1)  # and it goes on
+    camera.take(first[2])
+    assert camera.frames == (0, 1, 2)
+
+
+def test_phasors_of_several_frequencies_are_refused():
+    camera = lensshift.stream(SQUARE_PX, shape=(9, 12), modulation_hz=(100e6, 20e6))
+    camera.take(np.ones((9, 12)))  # amplitudes of it are what they are
+    with pytest.raises(ValueError, match="phasors of one modulation frequency, got 2"):
+        camera.take(np.ones((9, 12)) * 1j)
 
 
 def test_an_interrupted_step_leaves_a_stream_that_goes_on():

@@ -88,13 +88,15 @@ class Stream:
         Raises
         ------
         ValueError
-            If the place is not on the plan, or the frame is of another shape.
+            If the place is not on the plan, the frame is of another shape or kind than those
+            before (amplitudes after phasors), or it holds phasors of several frequencies.
         """
         one = frame if isinstance(frame, Frame) else _frame_of(frame)
         if one.amplitude.shape != self._template.grid.shape:
             raise ValueError(
                 f"expected a frame of {self._template.grid.shape}, got {one.amplitude.shape}"
             )
+        self._refuse_another_kind(one)
         place_now = self._next if place is None else place
         others = (other for k, other in self._frames.items() if k != place_now)
         lost = _blank(one) and not all(_blank(other) for other in others)
@@ -147,6 +149,19 @@ class Stream:
         event, self._event, self._rests = self._event, None, True
         said = {"pace": "live" if live else "refined", "places": sorted(self._frames)}
         return replace(found, settings=dict(found.settings) | said | {"event": event})
+
+    def _refuse_another_kind(self, frame: Frame) -> None:
+        """Refuse what does not go into one burst: of amplitudes alone phases would be 0."""
+        waves, hz = np.iscomplexobj(frame.amplitude), self._template.modulation_hz
+        if waves and isinstance(hz, tuple):
+            raise ValueError(
+                f"expected phasors of one modulation frequency, got {len(hz)} frequencies: a "
+                "stream of each, or `reconstruct` of a burst with the phasors of all"
+            )
+        latest = next(reversed(self._frames.values()), frame)
+        if np.iscomplexobj(latest.amplitude) != waves:
+            got, before = ("phasors", "amplitudes") if waves else ("amplitudes", "phasors")
+            raise ValueError(f"expected {before}, as the frames before, got {got}")
 
     def _believed(self) -> Reconstruction | None:
         """Return the picture whose response and shifts hold while the scene rests, if they do."""
