@@ -271,7 +271,7 @@ def test_too_little_room_is_said_before_the_work(
         free = 10_000
 
     monkeypatch.setattr(piecewise_file.shutil, "disk_usage", lambda _: Room)
-    with pytest.raises(DataError, match="GB are free"):
+    with pytest.raises(DataError, match="MB are free"):
         reconstruct_recording(film, tmp_path / "sr.nc", window=4)
     assert [path.name for path in tmp_path.iterdir()] == ["film.nc"]
 
@@ -378,6 +378,38 @@ def test_workers_keep_the_memory_that_they_free():
         told = dask.config.get(place)
     assert set(usual) - set(told) == {"MALLOC_TRIM_THRESHOLD_"}
     assert told.items() <= usual.items()
+
+
+@pytest.mark.parametrize("wrong", ["here", "ftp://here:1", "tcp://127.0.0.1"])
+def test_what_is_no_address_of_a_scheduler_is_refused_at_once(
+    film: Path, tmp_path: Path, wrong: str
+):
+    pytest.importorskip("distributed")
+    with pytest.raises(ValueError, match=r"as in tcp://10\.0\.0\.5:8786: (missing|unknown)"):
+        reconstruct_recording(film, tmp_path / "sr.nc", window=4, scheduler=wrong)
+
+
+@pytest.mark.slow  # workers are processes that import everything
+@pytest.mark.filterwarnings("ignore")  # those of dask while a worker dies
+def test_workers_that_die_at_every_try_are_told_and_what_was_done_is_kept(
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(recording, "RETRIES", 0)
+    dask = pytest.importorskip("dask")
+    out = tmp_path / "sr.nc"
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}), distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as cluster:  # fmt: skip
+
+        def kill(done: int, total: int) -> None:
+            os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+
+        with pytest.raises(RuntimeError, match=r"died 1 times at the same task.*kept"):
+            reconstruct_recording(
+                film, out, window=4, every=1, scheduler=cluster.scheduler_address, on_progress=kill
+            )
+    assert reconstruct_recording(film, out, window=4, every=1).resumed > 0
 
 
 @pytest.mark.slow  # its two workers are processes that import everything

@@ -94,9 +94,9 @@ def reconstruct_windows(
         f"{found.seconds:.1f} s" + (f", {found.resumed} were there" if found.resumed else "")
     )
     if found.contradicted or found.said:
-        told = "; ".join(found.said)
-        text = f"{found.contradicted} of {made} pictures are contradicted by their frames: {told}"
-        current.warn(text, QualityWarning, __file__, 0)
+        bad = f"{found.contradicted} of {made} pictures are contradicted by their frames"
+        bad = bad if found.contradicted else "no picture is contradicted by its frames, but"
+        current.warn(f"{bad}: {'; '.join(found.said)}", QualityWarning, __file__, 0)
     current.wrote(found.path)
     current.result["input"] = source
     current.tell(found, "windows resumed contradicted seconds")

@@ -120,5 +120,5 @@ def _check_room(target: Path, spaces: Mapping[str, Allocated]) -> None:
     free = shutil.disk_usage(target.parent).free
     if needed > free:
         raise DataError(
-            f"the file takes {needed / 1e9:.1f} GB, {free / 1e9:.1f} GB are free", source=target
+            f"the file takes {needed / 1e6:.1f} MB, {free / 1e6:.1f} MB are free", source=target
         )

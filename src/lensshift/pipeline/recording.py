@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from itertools import islice
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from lensshift.reconstruction.stream import Pace, stream
 TASK_BYTES, MOST_WINDOWS = 16_000_000, 256
 SAME_PLACE_PX = 1e-9  # rounding
 AHEAD = 3  # tasks for each worker that are under way
+RETRIES = 3  # of a task whose worker died
 NOTHING = "none of its frames shows anything"
 SAID = 3  # contradictions of a task that are told in words
 
@@ -120,11 +122,13 @@ def reconstruct_recording(
         If a file cannot be read or written, or `out` was begun otherwise.
     ValueError
         If the recording is shorter than a window, or a setting is wrong.
+    RuntimeError
+        If workers died at the same task again and again; what was done is kept.
     ImportError
         If workers are asked for and dask.distributed is not installed.
     """
     started_s, bad = time.perf_counter(), 0
-    said: list[str] = []
+    said: list[tuple[int, str]] = []
     with ExitStack() as stack:
         source = stack.enter_context(open_recording(recording))
         step = window if every is None else every
@@ -150,14 +154,15 @@ def reconstruct_recording(
             solved = _solved_by_dask(job, tasks, workers, scheduler)
         for one in solved:
             file.write(one.first, one.fields)
-            said.extend(one.said)
+            said.extend((one.first, text) for text in one.said)
             bad += int(one.fields["contradicted"].sum())
             done += len(one.fields["contradicted"])
             if on_progress is not None:
                 on_progress(done, job.count)
         path = file.finish()
     seconds = time.perf_counter() - started_s
-    return SequenceSummary(path, job.count, resumed, bad, tuple(said[:SAID]), seconds)
+    first = tuple(text for _, text in sorted(said, key=itemgetter(0))[:SAID])  # come in any order
+    return SequenceSummary(path, job.count, resumed, bad, first, seconds)
 
 
 def solve_windows(job: Windows, first: int, count: int) -> Solved:
@@ -291,6 +296,16 @@ def _of_workers() -> dict[str, Any]:
     return {"distributed.worker.profile.enabled": False, place: told}
 
 
+def _address(scheduler: str) -> str:
+    """Return the address of a scheduler; ValueError if it is none."""
+    addressing = import_module("distributed.comm.addressing")
+    try:  # else a client tries for a minute to close what it has not opened
+        return str(addressing.resolve_address(scheduler))
+    except (ValueError, OSError) as error:
+        problem = f"expected the address of a dask scheduler as in tcp://10.0.0.5:8786: {error}"
+        raise ValueError(problem) from error
+
+
 def _solved_by_dask(
     job: Windows, tasks: list[tuple[int, int]], workers: int | None, scheduler: str | None
 ) -> Iterator[Solved]:
@@ -298,25 +313,39 @@ def _solved_by_dask(
     needed = "workers need dask.distributed: pip install 'lensshift[cluster]'"
     distributed = of_extra("distributed", needed)
     with ExitStack() as stack:
-        where: Any = scheduler
-        if scheduler is None:
+        if scheduler is not None:
+            where: Any = _address(scheduler)
+        else:
             stack.enter_context(import_module("dask").config.set(_of_workers()))
             where = stack.enter_context(
                 distributed.LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
                     dashboard_address=None,
+                    # Its other pages stay: at a free port, as a second cluster has to take one.
+                    scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
                     silence_logs=logging.CRITICAL,
                 )
             )
         client = stack.enter_context(distributed.Client(where, set_as_default=False))
-        ahead = AHEAD * max(1, len(client.scheduler_info()["workers"]))
+        there = len(client.nthreads())  # of all workers; `scheduler_info` may tell five
+        if not there:
+            text = f"the scheduler at {where} has no workers yet: waiting for the first"
+            warnings.warn(text, QualityWarning, stacklevel=3)
+        ahead = AHEAD * max(1, there)
         left = (
-            client.submit(solve_windows, job, first, count, pure=False, retries=3)
+            client.submit(solve_windows, job, first, count, pure=False, retries=RETRIES)
             for first, count in tasks
         )
         under_way = distributed.as_completed(list(islice(left, ahead)), loop=client.loop)
         for future in under_way:
-            yield future.result()
+            try:
+                solved = future.result()
+            except distributed.KilledWorker as error:
+                raise RuntimeError(
+                    f"workers died {RETRIES + 1} times at the same task, as where memory runs out; "
+                    "what was done is kept, and the same call with fewer workers goes on with it"
+                ) from error
+            yield solved
             future.release()
             under_way.update(list(islice(left, 1)))
