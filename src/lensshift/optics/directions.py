@@ -51,10 +51,6 @@ def nodes_px(count: int, margin_px: float) -> Floats:
 
 def places_mm(grid: Grid, row_px: Floats, col_px: Floats) -> Floats:
     """Return places [row col 2] (row, col) on the sensor, from the axis."""
-    along = [
-        (place_px - 0.5 * (count - 1)) * pitch_mm
-        for place_px, count, pitch_mm in zip(
-            (row_px, col_px), grid.shape, grid.pitch_mm, strict=True
-        )
-    ]
+    axes = zip((row_px, col_px), grid.shape, grid.pitch_mm, strict=True)
+    along = [(place_px - 0.5 * (count - 1)) * pitch_mm for place_px, count, pitch_mm in axes]
     return np.stack(np.meshgrid(*along, indexing="ij"), axis=-1)

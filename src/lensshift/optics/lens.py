@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -140,11 +142,7 @@ class Element:
     def __post_init__(self) -> None:
         spaces = len(self.surfaces) - 1
         alone = spaces == 0 and self.surfaces[0].mirror
-        if (
-            (spaces < 1 and not alone)
-            or len(self.glass) != spaces
-            or len(self.thickness_mm) != spaces
-        ):
+        if (spaces < 1 and not alone) or {len(self.glass), len(self.thickness_mm)} != {spaces}:
             raise ValueError(
                 f"expected n surfaces, n - 1 glasses and n - 1 thicknesses, got "
                 f"{len(self.surfaces)}, {len(self.glass)} and {len(self.thickness_mm)}"
@@ -257,20 +255,15 @@ class Lens:
         if not self.object_mm > 0:
             raise ValueError(f"expected a positive object distance, got {self.object_mm} mm")
         number = 0
-        for element, behind, gap_mm in zip(
-            self.elements[:-1], self.elements[1:], self.gaps_mm[:-1], strict=True
-        ):
+        for (element, behind), gap_mm in zip(pairwise(self.elements), self.gaps_mm, strict=False):
             number += len(element.surfaces)
             _check_order(element.surfaces[-1], behind.surfaces[0], gap_mm, number)
         self._check_stop()
         self.indices()  # tells of a wavelength or temperature that a glass does not know
 
     def _check_stop(self) -> None:
-        carrier = self.stop.rides_on
-        if carrier is not None and not 0 <= carrier < len(self.elements):
-            raise ValueError(
-                f"expected the stop on an element from 0 to {len(self.elements) - 1}, got {carrier}"
-            )
+        if self.stop.rides_on is not None:
+            self.check_element(self.stop.rides_on, "the stop on an element")
         if self.stop.position_mm < -self.object_mm:
             raise ValueError(
                 f"expected a stop between object and sensor, got {self.stop.position_mm:g} mm, in "
@@ -298,10 +291,27 @@ class Lens:
             beside += [one for at, one in vertices if abs(at - self.stop.position_mm) < _CLOSE_MM]
         return 2.0 * min((one.semi_diameter_mm for one in beside), default=math.inf)
 
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:
+        """Those of all elements, in the order in which light meets them."""
+        return tuple(surface for element in self.elements for surface in element.surfaces)
+
+    def with_surfaces(self, surfaces: Iterable[Surface]) -> Lens:
+        """Return the lens with other surfaces, as many as it has."""
+        left = iter(surfaces)
+        parts = [tuple(islice(left, len(element.surfaces))) for element in self.elements]
+        pairs = zip(self.elements, parts, strict=True)
+        return replace(self, elements=tuple(replace(one, surfaces=of) for one, of in pairs))
+
     def positions_mm(self) -> Floats:
         """Return where the first vertex of each element and the sensor lie, [element + 1]."""
         lengths = [e.length_mm + gap for e, gap in zip(self.elements, self.gaps_mm, strict=True)]
         return np.concatenate([[0.0], np.cumsum(lengths)])
+
+    def spaces_mm(self) -> tuple[float, ...]:
+        """Return the distance behind each surface along the axis, the last one to the sensor."""
+        pairs = zip(self.elements, self.gaps_mm, strict=True)
+        return tuple(length for one, gap in pairs for length in (*one.thickness_mm, gap))
 
     def indices(self, wavelength_nm: float | None = None) -> tuple[tuple[float, ...], ...]:
         """Return the refractive index of each glass of each element."""
@@ -342,23 +352,19 @@ class Lens:
 
     def is_symmetric(self) -> bool:
         """Return whether nothing in the lens is decentred or tilted."""
-        leans = (
-            (*one.decenter_mm, *one.tilt_rad, *(t for s in one.surfaces for t in s.tilt_rad))
-            for one in self.elements
-        )
-        return not any(value for values in leans for value in values)
+        moves = [pair for one in self.elements for pair in (one.decenter_mm, one.tilt_rad)]
+        return not np.any([*moves, *(surface.tilt_rad for surface in self.surfaces)])
 
     def called(self, element: int) -> str:
         """Return the number of an element, counted from 1, and its name if it has one."""
         name = self.elements[element].name
         return f"element {element + 1}" + (f" ({name})" if name else "")
 
-    def check_element(self, element: int) -> None:
+    def check_element(self, element: int, what: str = "an element") -> None:
         """Raise a ValueError if there is no element of this number, counted from 0."""
-        if not 0 <= element < len(self.elements):
-            raise ValueError(
-                f"expected an element from 0 to {len(self.elements) - 1}, got {element}"
-            )
+        last = len(self.elements) - 1
+        if not 0 <= element <= last:
+            raise ValueError(f"expected {what} from 0 to {last}, got {element}")
 
     def _with(self, element: int, **changes: tuple[float, float]) -> Lens:
         self.check_element(element)

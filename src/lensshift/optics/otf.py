@@ -259,16 +259,15 @@ def _fit(
 
     traced = np.isfinite(rays.path_mm)  # vignetted rays too: their paths are smooth
     cosine = rays.direction[traced, :2]
-    path = rays.path_mm[traced] + np.einsum(
-        "rc,rc->r", centre_mm - rays.position_mm[traced], cosine
-    )
+    away_mm = centre_mm - rays.position_mm[traced]
+    path = rays.path_mm[traced] + np.einsum("rc,rc->r", away_mm, cosine)
     middle = 0.5 * (cosine.max(axis=0) + cosine.min(axis=0))
     radius = _MARGIN * float(np.abs(cosine - middle).max())
     quantities = [path - path.mean(), points[traced, 0], points[traced, 1]]
     if rays.heights is not None:
         squares = rays.heights[traced] ** 2
         quantities += [square for square in squares.T if square.max() > 0.98]
-        inner = [s.inner_mm / s.semi_diameter_mm for e in lens.elements for s in e.surfaces]
+        inner = [one.inner_mm / one.semi_diameter_mm for one in lens.surfaces]
         # Below 1 beyond the inner edge, with the slope that the outer one has at the pupil's edge.
         quantities += [
             1.0 - (square - share**2) / share
@@ -282,9 +281,9 @@ def _fit(
     row, col = (chebvander(x, _DEGREE) for x in scaled.T)
     design = row[:, first[used]] * col[:, second[used]]
     root = np.sqrt(weight[traced])[:, None]
-    solved = lstsq(design * root, np.stack(quantities, axis=-1) * root, lapack_driver="gelsy")[
-        0
-    ]  # by QR, in a third of the time
+    values = np.stack(quantities, axis=-1)
+    # By QR, in a third of the time.
+    solved = lstsq(design * root, values * root, lapack_driver="gelsy")[0]
     terms = np.zeros((len(quantities), _DEGREE + 1, _DEGREE + 1))
     terms[:, first[used], second[used]] = solved.T
     slopes = np.zeros((4, _DEGREE + 1, _DEGREE + 1))
@@ -293,7 +292,7 @@ def _fit(
     reach_mm = float(np.linalg.norm(spot.ray_mm[rays.passed], axis=-1).max())
     light = float(spot.transmission)
     terms = np.concatenate([terms[:1], slopes, terms[1:]])
-    hidden = any(s.inner_mm for e in lens.elements for s in e.surfaces)
+    hidden = any(one.inner_mm for one in lens.surfaces)
     return PupilFit(radius, terms, reach_mm, light, 0.5 * _ARMS * weight.max() * hidden)
 
 

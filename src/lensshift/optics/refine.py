@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import warn_quality
-from lensshift.optics.lens import Element, Lens, Surface
+from lensshift.optics.lens import Lens, Surface
 from lensshift.optics.mtf import light_of
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_quadrature
@@ -160,15 +161,15 @@ class _Bench:
         self.fields = np.zeros((len(task.shares), 2))
         self.fields[:, 1] = share * np.asarray(task.shares) * scale
         self.fields = self.aimed(self.stopped(lens))
-        semi_mm = np.array([s.semi_diameter_mm for e in lens.elements for s in e.surfaces])
+        semi_mm = np.array([one.semi_diameter_mm for one in lens.surfaces])
         if not np.all(np.isfinite(semi_mm)):
             heights_mm = self.traced(self.stopped(lens))[1]
             semi_mm = np.where(np.isfinite(semi_mm), semi_mm, _ROOM * heights_mm)
         self.variables = Variables(lens, freedom, semi_mm)
         self.owner = [n for n, element in enumerate(lens.elements) for _ in element.surfaces]
         self.edges_mm = [  # of stock lenses
-            math.inf if self.owner[n] in self.variables.made else surface.semi_diameter_mm
-            for n, surface in enumerate(s for e in lens.elements for s in e.surfaces)
+            math.inf if owner in self.variables.made else surface.semi_diameter_mm
+            for owner, surface in zip(self.owner, lens.surfaces, strict=True)
         ]
 
     def _per_field_mm(self, lens: Lens) -> float:
@@ -189,7 +190,11 @@ class _Bench:
         data = paraxial(lens)
         pupil_mm = self.share * self.task.focal_length_mm / self.task.f_number
         wide_mm = lens.stop.diameter_mm * pupil_mm / data.entrance_pupil_diameter_mm
-        free = replace(lens, elements=tuple(_edgeless(one) for one in lens.elements))
+        if any(one.inner_mm for one in lens.surfaces):
+            raise ValueError(
+                "expected a lens without obstructions (inner_mm): edges are not refined"
+            )
+        free = lens.with_surfaces(replace(one, semi_diameter_mm=math.inf) for one in lens.surfaces)
         return replace(free, stop=replace(lens.stop, diameter_mm=wide_mm))
 
     def aimed(self, lens: Lens) -> Floats:
@@ -258,26 +263,20 @@ class _Bench:
 
     def _missed(self, lens: Lens, heights_mm: Floats, mean_mm: Floats) -> list[float]:
         """Return by how much each limit is missed, always as many of them."""
-        limits, found, first = self.task.limits, [], 0
+        limits, owner, found = self.task.limits, self.owner, []
         high_mm = _ROOM * heights_mm
-        for number, element in enumerate(lens.elements):
-            made, after = number in self.variables.made, first + len(element.surfaces)
-            shapes = element.surfaces
-            for place, thick_mm in enumerate(element.thickness_mm):
-                both_mm = high_mm[first + place : first + place + 2]
-                room_mm = _room_mm(shapes[place], shapes[place + 1], thick_mm, both_mm)
-                found.append(max(0.0, limits.edge_mm - room_mm) if made else 0.0)
-            for place, surface in enumerate(shapes, start=first):
-                wide_mm = self.edges_mm[place]
-                if made and surface.curvature_per_mm:
-                    wide_mm = _STEEPEST / abs(surface.curvature_per_mm)
-                found.append(max(0.0, float(high_mm[place]) - wide_mm))
-            if number + 1 < len(lens.elements):
-                behind = lens.elements[number + 1].surfaces[0]
-                both_mm = high_mm[after - 1 : after + 1]
-                room_mm = _room_mm(shapes[-1], behind, lens.gaps_mm[number], both_mm)
-                found.append(max(0.0, limits.air_mm - room_mm))
-            first = after
+        for place, surface in enumerate(lens.surfaces):
+            wide_mm = self.edges_mm[place]
+            if owner[place] in self.variables.made and surface.curvature_per_mm:
+                wide_mm = _STEEPEST / abs(surface.curvature_per_mm)
+            found.append(max(0.0, float(high_mm[place]) - wide_mm))
+        spaces = zip(pairwise(lens.surfaces), lens.spaces_mm(), strict=False)
+        for place, ((front, back), apart_mm) in enumerate(spaces):
+            within = owner[place] == owner[place + 1]
+            if within and owner[place] not in self.variables.made:
+                continue
+            room_mm = _room_mm(front, back, apart_mm, high_mm[place : place + 2])
+            found.append(max(0.0, (limits.edge_mm if within else limits.air_mm) - room_mm))
         found.append(max(0.0, float(lens.positions_mm()[-1]) - limits.track_mm))
         plain_mm = abs(float(self.fields[-1, 1])) * self.per_field_mm
         off = abs(abs(float(mean_mm[-1])) / plain_mm - 1.0) if plain_mm else 0.0
@@ -310,27 +309,20 @@ class _Bench:
         drawn = self.variables.lens(vector)
         lens = self.stopped(drawn)
         heights_mm = _ROOM * self.traced(lens, self.aimed(lens))[1]
-        surfaces = [surface for element in drawn.elements for surface in element.surfaces]
+        surfaces = list(drawn.surfaces)
         for number, high_mm in enumerate(map(float, heights_mm)):
             one, edge_mm = surfaces[number], self.edges_mm[number]
             if self.owner[number] in self.variables.made:
                 edge_mm = _within_mm(one.curvature_per_mm, one.conic, high_mm)
             surfaces[number] = replace(one, semi_diameter_mm=edge_mm)
-        apart = [t for e, gap in zip(drawn.elements, drawn.gaps_mm, strict=True)
-                 for t in (*e.thickness_mm, gap)]  # fmt: skip
         notes: list[str] = []
-        for number, apart_mm in enumerate(apart[:-1]):
+        for number, apart_mm in enumerate(drawn.spaces_mm()[:-1]):
             surfaces[number : number + 2] = trimmed(
                 surfaces[number], surfaces[number + 1], apart_mm, number + 1, notes
             )
         if notes:
             warn_quality("; ".join(notes), stacklevel=3)
-        elements, first = [], 0
-        for element in drawn.elements:
-            shapes = tuple(surfaces[first : first + len(element.surfaces)])
-            elements.append(replace(element, surfaces=shapes))
-            first += len(shapes)
-        return replace(drawn, stop=lens.stop, elements=tuple(elements))
+        return lens.with_surfaces(surfaces)
 
 
 def _within_mm(curvature_per_mm: float, conic: float, high_mm: float) -> float:
@@ -348,10 +340,3 @@ def _room_mm(front: Surface, back: Surface, apart_mm: float, high_mm: Floats) ->
     at_mm = np.array([*edges_mm, min(edges_mm)])
     of_front, of_back = front.sag_mm(at_mm[[0, 2]]), back.sag_mm(at_mm[[1, 2]])
     return float((apart_mm + of_back - of_front).min())
-
-
-def _edgeless(element: Element) -> Element:
-    if any(surface.inner_mm for surface in element.surfaces):
-        raise ValueError("expected a lens without obstructions (inner_mm): edges are not refined")
-    surfaces = tuple(replace(one, semi_diameter_mm=math.inf) for one in element.surfaces)
-    return replace(element, surfaces=surfaces)

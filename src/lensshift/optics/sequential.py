@@ -200,8 +200,7 @@ def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: 
     if kind == "FLOA":
         diameter_mm = min(2.0 * stop.semi_diameter_mm or math.inf, widest_mm)
         if math.isinf(diameter_mm):  # nowhere told: what every surface lets through
-            surfaces = (surface for element in lens.elements for surface in element.surfaces)
-            diameter_mm = 2.0 * min(surface.semi_diameter_mm for surface in surfaces)
+            diameter_mm = 2.0 * min(surface.semi_diameter_mm for surface in lens.surfaces)
     else:
         position_mm, scale = entrance_pupil(lens)
         pupil_mm = value

@@ -85,8 +85,7 @@ def axial_light(lens: Lens) -> tuple[float, float]:
 @lru_cache(maxsize=32)
 def obstruction(lens: Lens) -> float:
     """Return the obstruction of `axial_light`, 0 without a trace where no surface has any."""
-    hidden = any(surface.inner_mm for element in lens.elements for surface in element.surfaces)
-    return axial_light(lens)[1] if hidden else 0.0
+    return axial_light(lens)[1] if any(one.inner_mm for one in lens.surfaces) else 0.0
 
 
 def with_middle(
@@ -101,11 +100,7 @@ def with_middle(
     inner = obstruction(lens)
     if not inner:
         return spot
-    elements = [
-        replace(one, surfaces=tuple(replace(surface, inner_mm=0.0) for surface in one.surfaces))
-        for one in lens.elements
-    ]
-    clear = replace(lens, elements=tuple(elements))
+    clear = lens.with_surfaces(replace(one, inner_mm=0.0) for one in lens.surfaces)
     points, weight = pupil_quadrature(rings, inner=inner)
     rays = trace(clear, field_tan, points, build=build, wavelength_nm=wavelength_nm)
     dark = (np.linalg.norm(points, axis=-1) < inner) & rays.passed
@@ -316,12 +311,11 @@ def _why_dark(lens: Lens, rays: RayBundle) -> str:
     surface = int(np.bincount(failed_at).argmax())
     kind = int(np.bincount(status[failed_at == surface]).argmax())
     how = ("", "miss it", "are totally reflected", "lie outside its semi-diameter")[kind]
-    named = [
-        (n, one.name or f"element {number}")
-        for number, one in enumerate(lens.elements, start=1)
+    number, name = [
+        (n, one.name or f"element {of}")
+        for of, one in enumerate(lens.elements, start=1)
         for n, _ in enumerate(one.surfaces, start=1)
-    ]
-    number, name = named[surface]
+    ][surface]
     return (
         f"expected light on the sensor, but no ray of {int(dark.sum())} of {dark.size} fields "
         f"arrives: at surface {surface + 1} (surface {number} of {name}) most {how}"

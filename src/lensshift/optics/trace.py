@@ -168,13 +168,11 @@ class System:
         return np.stack(columns, axis=-1)
 
     def _tables(self, lens: Lens) -> None:
-        surfaces = [surface for element in lens.elements for surface in element.surfaces]
-        self.element = np.repeat(
-            np.arange(len(lens.elements)), [len(e.surfaces) for e in lens.elements]
-        )
-        self.depth = np.concatenate(
-            [np.cumsum([0.0, *element.thickness_mm]) for element in lens.elements]
-        )
+        surfaces = lens.surfaces
+        counts = [len(element.surfaces) for element in lens.elements]
+        self.element = np.repeat(np.arange(len(counts)), counts)
+        depths = [np.cumsum([0.0, *element.thickness_mm]) for element in lens.elements]
+        self.depth = np.concatenate(depths)
         self.curvature = np.array([surface.curvature_per_mm for surface in surfaces])
         self.conic = np.array([surface.conic for surface in surfaces])
         self.semi_diameter = np.array([surface.semi_diameter_mm for surface in surfaces])
@@ -186,12 +184,11 @@ class System:
     def _lean(self, lens: Lens) -> None:
         """Give surfaces that lean in their element axes of their own, behind those of elements."""
         self.frame = self.element.copy()
-        surfaces = [surface for element in lens.elements for surface in element.surfaces]
-        leaning = [number for number, surface in enumerate(surfaces) if any(surface.tilt_rad)]
+        leaning = [number for number, one in enumerate(lens.surfaces) if any(one.tilt_rad)]
         for number in leaning:
             of_element = self.rotations[:, self.element[number]]
             here = self.vertices[:, self.element[number]] + self.depth[number] * of_element[..., 2]
-            turned = of_element @ rotations_of(np.array(surfaces[number].tilt_rad))
+            turned = of_element @ rotations_of(np.array(lens.surfaces[number].tilt_rad))
             self.frame[number] = self.vertices.shape[1]
             self.vertices = np.concatenate([self.vertices, here[:, None]], axis=1)
             self.rotations = np.concatenate([self.rotations, turned[:, None]], axis=1)
