@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,12 +59,10 @@ class Freedom:
                 raise ValueError(f"expected aspheric elements among those made, {made}, got {got}")
 
 
-@dataclass(frozen=True, slots=True)
-class _Slot:
-    """One number of a lens: which, and what a unit step of the vector changes."""
+class _Slot(NamedTuple):
+    """One number of a lens: of which surface, or of the space behind which, and a unit step."""
 
     kind: str
-    element: int
     place: int
     unit: float
 
@@ -84,72 +84,57 @@ class Variables:
 
     def __init__(self, lens: Lens, freedom: Freedom, semi_mm: Floats) -> None:
         self._lens = lens
-        self._before = lens.elements_before_stop()
         made = freedom.elements
         if made is None:
             made = tuple(n for n, one in enumerate(lens.elements) if not is_plate(one))
         for number in made:
             lens.check_element(number)
         self.made = made
-        before_mm = 0.0  # where the last vertex in front of the stop is
-        if self._before:
-            front = self._before - 1
-            before_mm = float(lens.positions_mm()[front] + lens.elements[front].length_mm)
-        self._stop_mm = lens.stop.position_mm - before_mm
+        before = sum(len(one.surfaces) for one in lens.elements[: lens.elements_before_stop()])
+        self._front = before - 1  # the last vertex in front of the stop
+        self._stop_mm = lens.stop.position_mm - sum(lens.spaces_mm()[: max(self._front, 0)])
         self._slots = self._found(freedom, semi_mm)
         if not self._slots:
             raise ValueError("expected something that may change, got a lens that stays as it is")
 
     def _found(self, freedom: Freedom, semi_mm: Floats) -> list[_Slot]:
         lens, slots, first = self._lens, [], 0
-        long_mm = float(lens.positions_mm()[-1])
+        long_mm = 0.2 * float(lens.positions_mm()[-1])
         for number, element in enumerate(lens.elements):
-            heights = semi_mm[first : first + len(element.surfaces)]
-            first += len(element.surfaces)
-            if number not in self.made:
-                continue
-            for place, height_mm in enumerate(heights):
-                if freedom.planes and math.isinf(element.surfaces[place].radius_mm):
+            last = first + len(element.surfaces) - 1
+            for place in range(first, last + 1) if number in self.made else ():
+                height_mm = float(semi_mm[place])
+                if freedom.planes and math.isinf(lens.surfaces[place].radius_mm):
                     continue
                 if freedom.radii:
-                    slots.append(_Slot("curvature", number, place, 1.0 / height_mm))
+                    slots.append(_Slot("curvature", place, 1.0 / height_mm))
                 if freedom.aspheric is not None and number not in freedom.aspheric:
                     continue
                 if freedom.conics:
-                    slots.append(_Slot("conic", number, place, 1.0))
+                    slots.append(_Slot("conic", place, 1.0))
                 for power in range(freedom.aspheres):
                     unit = 0.1 * height_mm ** -(3.0 + 2.0 * power)
-                    slots.append(_Slot(f"asphere {power}", number, place, unit))
-            if freedom.thicknesses:
-                slots += [
-                    _Slot("thickness", number, place, 0.2 * long_mm)
-                    for place in range(len(element.thickness_mm))
-                ]
+                    slots.append(_Slot(f"asphere {power}", place, unit))
+            if freedom.thicknesses and number in self.made:
+                slots += [_Slot("thickness", place, long_mm) for place in range(first, last)]
+            first = last + 1
         if freedom.gaps:
-            kept = len(lens.gaps_mm) - (1 if is_plate(lens.elements[-1]) else 0)
-            slots += [_Slot("gap", number, 0, 0.2 * long_mm) for number in range(max(kept, 1))]
-        if freedom.stop and 0 < self._before < len(lens.elements):
-            slots.append(_Slot("stop", 0, 0, 0.2 * long_mm))
+            ends = np.cumsum([len(element.surfaces) for element in lens.elements]) - 1
+            kept = ends[:-1] if is_plate(lens.elements[-1]) and len(ends) > 1 else ends
+            slots += [_Slot("gap", int(place), long_mm) for place in kept]
+        if freedom.stop and 0 <= self._front < first - 1:
+            slots.append(_Slot("stop", 0, long_mm))
         return slots
 
     def start(self) -> Floats:
         """Return the vector of the lens that this started from."""
-        lens = self._lens
         values = []
-        for slot in self._slots:
-            element = lens.elements[slot.element]
-            kind, _, power = slot.kind.partition(" ")
-            if kind in ("curvature", "conic", "asphere"):
-                surface = element.surfaces[slot.place]
-                terms = (*surface.asphere, *[0.0] * _MOST_TERMS)
-                value = {"curvature": surface.curvature_per_mm, "conic": surface.conic}.get(
-                    kind, terms[int(power or 0)]
-                )
-            elif kind == "thickness":
-                value = element.thickness_mm[slot.place]
-            else:
-                value = lens.gaps_mm[slot.element] if kind == "gap" else self._stop_mm
-            values.append(value / slot.unit)
+        for kind, place, unit in self._slots:
+            surface, space_mm = self._lens.surfaces[place], self._lens.spaces_mm()[place]
+            numbers = {"curvature": surface.curvature_per_mm, "conic": surface.conic}
+            numbers |= {f"asphere {power}": term for power, term in enumerate(surface.asphere)}
+            numbers |= {"thickness": space_mm, "gap": space_mm, "stop": self._stop_mm}
+            values.append(numbers.get(kind, 0.0) / unit)
         return np.array(values)
 
     def missing_mm(self, vector: Floats, glass_mm: Floats, air_mm: float, back_mm: float) -> Floats:
@@ -160,57 +145,44 @@ class Variables:
         glass_mm : [2] least and most thickness of glass
         air_mm, back_mm : least gap between elements, and to the sensor
         """
-        low, high = np.full(len(self._slots), -np.inf), np.full(len(self._slots), np.inf)
-        for number, slot in enumerate(self._slots):
-            if slot.kind == "thickness":
-                low[number], high[number] = glass_mm
-            elif slot.kind == "gap":
-                last = slot.element + 1 == len(self._lens.elements)
-                low[number] = back_mm if last else air_mm
-            elif slot.kind == "stop":
-                low[number] = 0.0
+        bounds = {"thickness": (glass_mm[0], glass_mm[1]), "gap": (air_mm, np.inf)}
+        bounds |= {"stop": (0.0, np.inf), "back": (back_mm, np.inf)}
+        last = len(self._lens.surfaces) - 1
+        kinds = (
+            "back" if (one.kind, one.place) == ("gap", last) else one.kind for one in self._slots
+        )
+        low, high = np.transpose([bounds.get(kind, (-np.inf, np.inf)) for kind in kinds])
         value = vector * np.array([slot.unit for slot in self._slots])
         return np.asarray(np.maximum(low - value, 0.0) + np.maximum(value - high, 0.0))
 
     def lens(self, vector: Floats) -> Lens:
         """Return the lens of a vector, without edges."""
-        lens = self._lens
-        surfaces = [
-            [replace(one, semi_diameter_mm=math.inf) for one in element.surfaces]
-            for element in lens.elements
-        ]
-        thickness = [list(element.thickness_mm) for element in lens.elements]
-        gaps, stop_mm = list(lens.gaps_mm), self._stop_mm
+        lens, front, stop_mm = self._lens, self._front, self._stop_mm
+        surfaces = [replace(one, semi_diameter_mm=math.inf) for one in lens.surfaces]
+        spaces_mm = list(lens.spaces_mm())
         for slot, number in zip(self._slots, vector, strict=True):
             value = float(number) * slot.unit
-            if slot.kind == "gap":
-                gaps[slot.element] = max(value, 0.0)
-            elif slot.kind == "thickness":
-                thickness[slot.element][slot.place] = max(value, _LEAST_MM)
-            elif slot.kind == "stop":
+            if slot.kind == "stop":
                 stop_mm = max(value, 0.0)
+            elif slot.kind in ("gap", "thickness"):
+                spaces_mm[slot.place] = max(value, 0.0 if slot.kind == "gap" else _LEAST_MM)
             else:
-                here = surfaces[slot.element]
-                here[slot.place] = _changed(here[slot.place], slot.kind, value)
-        elements = tuple(
-            replace(element, surfaces=tuple(of), thickness_mm=tuple(long))
-            for element, of, long in zip(lens.elements, surfaces, thickness, strict=True)
-        )
-        at_mm = stop_mm
-        for number in range(self._before):
-            at_mm += elements[number].length_mm + (gaps[number] if number + 1 < self._before else 0)
-        if 0 < self._before < len(elements):  # the stop takes its room
-            gaps[self._before - 1] = max(gaps[self._before - 1], stop_mm + _LEAST_MM)
-        return replace(
-            lens, elements=elements, gaps_mm=tuple(gaps), stop=replace(lens.stop, position_mm=at_mm)
-        )
+                surfaces[slot.place] = _changed(surfaces[slot.place], slot.kind, value)
+        if 0 <= front < len(surfaces) - 1:  # the stop takes its room
+            spaces_mm[front] = max(spaces_mm[front], stop_mm + _LEAST_MM)
+        at_mm = sum(spaces_mm[: max(front, 0)]) + stop_mm
+        elements, gaps, left = [], [], iter(zip(surfaces, spaces_mm, strict=True))
+        for element in lens.elements:
+            of, long = zip(*islice(left, len(element.surfaces)), strict=True)
+            elements.append(replace(element, surfaces=of, thickness_mm=long[:-1]))
+            gaps.append(long[-1])
+        stop = replace(lens.stop, position_mm=at_mm)
+        return replace(lens, elements=tuple(elements), gaps_mm=tuple(gaps), stop=stop)
 
 
 def is_plate(element: Element) -> bool:
     """Tell whether an element has plane surfaces only."""
-    return all(surface.curvature_per_mm == 0 for surface in element.surfaces) and not any(
-        surface.asphere or surface.radial for surface in element.surfaces
-    )
+    return not any(one.curvature_per_mm or one.asphere or one.radial for one in element.surfaces)
 
 
 def _changed(surface: Surface, kind: str, value: float) -> Surface:
