@@ -11,13 +11,7 @@ from typing import Any, get_type_hints
 
 from lensshift.core.atomic import write_text
 from lensshift.core.errors import DataError, about, warn_quality
-from lensshift.core.settings import (
-    check_keys,
-    fit,
-    parse_toml,
-    read_text,
-    settings_of,
-)
+from lensshift.core.settings import check_keys, fit, parse_toml, read_text, settings_of
 from lensshift.optics.glass import Glass, add_glasses, glass_data, is_shipped
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.sequential import element_about_stop
@@ -139,12 +133,9 @@ def _entries(**values: Any) -> list[str]:
 def _toml(value: Any) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml, value))}]"
-    # A JSON string is a TOML basic string, truths are written alike.
-    return (
-        json.dumps(value, ensure_ascii=False)
-        if isinstance(value, str | bool)
-        else repr(float(value))
-    )
+    if isinstance(value, str | bool):  # a JSON string is a TOML basic string, truths are alike
+        return json.dumps(value, ensure_ascii=False)
+    return repr(float(value))
 
 
 def _degrees(tilt_rad: tuple[float, float]) -> tuple[float, ...] | None:

@@ -214,7 +214,7 @@ def _read_surface_line(
             entry.mirror = True
         elif is_traced(entry.type):  # others are refused for what they are
             entry.glass, note = _glass(values, entry, line, content.catalogues)
-            content.notes += [note] if note else []
+            content.notes += [f"surface {entry.number}: glass {values[0]} {note}"] if note else []
     elif key == "STOP":
         entry.is_stop = True
 
@@ -244,19 +244,15 @@ def _glass(
         known = glass_called(f"{name}_CDGM") or known  # a name that SCHOTT has for another glass
     if known is not None:
         source = glass_data(known).source
-        told = ""
         if source.startswith(BY_CODE) and not known.startswith("model:"):
-            told = f"surface {entry.number}: glass {name} is known by index and Abbe number only"
-        elif source == AS_USUAL:
-            told = f"surface {entry.number}: glass {name} is {AS_USUAL}"
-        return known, told
+            return known, "is known by index and Abbe number only"
+        return known, f"is {AS_USUAL}" if source == AS_USUAL else ""
     newer = successor(name)
     if newer is not None:
-        return newer, f"surface {entry.number}: glass {name} taken as {newer}, which replaced it"
+        return newer, f"taken as {newer}, which replaced it"
     if 1.2 < index < 4.5 and 5.0 < abbe < 150.0 and (index, abbe) != _DEFAULT_GLASS:
-        made = model_glass(index, abbe)
-        note = f"glass {name} taken from its index {index:g} and Abbe number {abbe:g}"
-        return made, f"surface {entry.number}: {note}"
+        note = f"taken from its index {index:g} and Abbe number {abbe:g}"
+        return model_glass(index, abbe), note
     raise DataError(
         f"line {line}: expected a known glass, got {name}: load the catalogue of its maker, "
         "`lensshift lens convert LENS.zmx LENS.toml --glass-catalogue MAKER.agf`",
@@ -332,18 +328,13 @@ def _carry_obstructions(content: _File) -> None:
 def _leave_out_automatic(content: _File) -> None:
     """Leave out what the program computed as wide enough for light along the axis alone."""
     told = (content.aperture or ("FLOA", 0.0))[0] == "FLOA"  # the stop is as wide as its surface
-    found = [
-        entry
-        for entry in content.entries[1:-1]
-        if entry.automatic and not (entry.is_stop and told) and not entry.inner_mm
-        if entry.type != "COORDBRK"
-    ]
-    if content.fields == {0.0} and found:
-        content.notes.append(
-            "semi-diameters that hold for the axis only, as the file has no other field, are left "
-            "out"
-        )
-        for entry in found:
+    note = (
+        "semi-diameters that hold for the axis only, as the file has no other field, are left out"
+    )
+    for entry in content.entries[1:-1] if content.fields == {0.0} else ():
+        kept = (entry.is_stop and told) or entry.inner_mm or entry.type == "COORDBRK"
+        if entry.automatic and not kept:
+            content.notes.append(note)  # said once in the end
             entry.semi_diameter_mm = 0.0
 
 
@@ -368,10 +359,9 @@ def _break(entry: Entry, origin: Floats, axes: Floats) -> tuple[Floats, Floats]:
     """Apply decentre and then tilts about x, y, z, or all in the opposite order."""
     from scipy.spatial.transform import Rotation
 
-    value = [entry.parameters.get(i, 0.0) for i in range(1, 7)]
-    shift = np.array([value[0], value[1], 0.0])
-    tilts_deg = value[2:5]
-    if value[5] == 0:
+    x_mm, y_mm, *tilts_deg, order = (entry.parameters.get(i, 0.0) for i in range(1, 7))
+    shift = np.array([x_mm, y_mm, 0.0])
+    if order == 0:
         turn = Rotation.from_euler("XYZ", tilts_deg, degrees=True).as_matrix()
         return origin + axes @ shift, axes @ turn
     turned = axes @ Rotation.from_euler("ZYX", tilts_deg[::-1], degrees=True).as_matrix()

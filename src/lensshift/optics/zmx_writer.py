@@ -60,24 +60,18 @@ def format_zmx(lens: Lens) -> str:
 
 def _blocks(lens: Lens) -> list[list[str]]:
     """Return the lines of each surface, from the object to the image."""
-    before = lens.elements_before_stop()
-    stop_mm = lens.stop.position_mm
-    ends_mm = [0.0]  # where the air in front of each element, and of the sensor, begins
-    starts_mm = lens.positions_mm()
-    for start_mm, element in zip(starts_mm, lens.elements, strict=False):
-        ends_mm.append(float(start_mm) + element.length_mm)
+    before, starts_mm = lens.elements_before_stop(), lens.positions_mm()
+    stop_mm, ahead = lens.stop.position_mm, 1.0
     far = math.isinf(lens.object_mm)
     to_stop_mm = stop_mm if before == 0 else 0.0
     blocks = [_plane(math.inf if far else lens.object_mm + to_stop_mm)]
-    ahead = 1.0
-    for number, element in enumerate(lens.elements):
+    for number, (element, gap_mm) in enumerate(zip(lens.elements, lens.gaps_mm, strict=True)):
         if number == before:
             blocks.append(_stop(lens, ahead * (float(starts_mm[number]) - stop_mm)))
-        gap_mm = lens.gaps_mm[number]
         if number + 1 == before:
-            gap_mm = stop_mm - ends_mm[number + 1]
+            gap_mm = stop_mm - (float(starts_mm[number]) + element.length_mm)
         blocks += _element(element, gap_mm, ahead)
-        ahead *= -1.0 if sum(surface.mirror for surface in element.surfaces) % 2 else 1.0
+        ahead *= -1.0 if element.folds else 1.0
     if before == len(lens.elements):
         blocks.append(_stop(lens, ahead * (float(starts_mm[-1]) - stop_mm)))
     return [*blocks, _plane(0.0)]
@@ -85,17 +79,11 @@ def _blocks(lens: Lens) -> list[list[str]]:
 
 def _element(element: Element, gap_mm: float, ahead: float) -> list[list[str]]:
     """Return the lines of an element that light meets along (1) or against (-1) the z axis."""
-    row_mm, col_mm = element.decenter_mm
-    about_x_deg, about_y_deg = (
-        -ahead * math.degrees(element.tilt_rad[0]),
-        ahead * math.degrees(element.tilt_rad[1]),
-    )
-    away = any((*element.decenter_mm, *element.tilt_rad))
     if any(element.tilt_rad) and any(surface.mirror for surface in element.surfaces):
         raise ValueError(f"expected mirrors that are not tilted, got {element.name} tilted")
-    blocks = []
-    if away:
-        blocks.append(_break((col_mm, row_mm, about_x_deg, about_y_deg, 0.0, 0), 0.0))
+    away = any((*element.decenter_mm, *element.tilt_rad))
+    place = (*element.decenter_mm[::-1], *_turn_deg(element.tilt_rad, ahead))
+    blocks = [_break(place, 0.0)] if away else []
     length_mm = 0.0
     for number, surface in enumerate(element.surfaces):
         shape = surface if ahead > 0 else surface.reversed()
@@ -106,17 +94,17 @@ def _element(element: Element, gap_mm: float, ahead: float) -> list[list[str]]:
         else:  # back to the first vertex, about which the element is tilted
             glass, distance_mm = "", -length_mm if away else ahead * gap_mm
         if any(surface.tilt_rad):
-            turn = (-ahead * math.degrees(surface.tilt_rad[0]),
-                    ahead * math.degrees(surface.tilt_rad[1]))  # fmt: skip
-            blocks.append(_break((0.0, 0.0, *turn, 0.0, 0), 0.0))
-            blocks.append(_surface(shape, glass, 0.0))
-            blocks.append(_break((0.0, 0.0, -turn[0], -turn[1], 0.0, 1), distance_mm))
-            continue
-        blocks.append(_surface(shape, "MIRROR" if surface.mirror else glass, distance_mm))
-    if away:
-        back = (-col_mm, -row_mm, -about_x_deg, -about_y_deg, 0.0, 1)
-        blocks.append(_break(back, length_mm + ahead * gap_mm))
-    return blocks
+            lean = (0.0, 0.0, *_turn_deg(surface.tilt_rad, ahead))
+            blocks += [_break(lean, 0.0), _surface(shape, glass, 0.0)]
+            blocks.append(_break(lean, distance_mm, back=True))
+        else:
+            blocks.append(_surface(shape, "MIRROR" if surface.mirror else glass, distance_mm))
+    return [*blocks, _break(place, length_mm + ahead * gap_mm, back=True)] if away else blocks
+
+
+def _turn_deg(tilt_rad: tuple[float, float], ahead: float) -> tuple[float, float]:
+    """Return the turns about x and y that lean an axis towards (row, col)."""
+    return -ahead * math.degrees(tilt_rad[0]), ahead * math.degrees(tilt_rad[1])
 
 
 def _surface(surface: Surface, glass: str, distance_mm: float) -> list[str]:
@@ -159,10 +147,11 @@ def _plane(distance_mm: float) -> list[str]:
     return ["TYPE STANDARD", "CURV 0.0", f"DISZ {_number(distance_mm)}"]
 
 
-def _break(values: tuple[float, ...], distance_mm: float) -> list[str]:
-    lines = ["TYPE COORDBRK", "CURV 0.0"]
-    lines += [f"PARM {number} {_number(value)}" for number, value in enumerate(values, start=1)]
-    return [*lines, f"DISZ {_number(distance_mm)}"]
+def _break(place: tuple[float, ...], distance_mm: float, *, back: bool = False) -> list[str]:
+    """Return the break to a place (x, y, turns about x and y), or exactly back from it."""
+    values = (*(-one if back else one for one in place), 0.0, float(back))
+    lines = [f"PARM {number} {_number(value)}" for number, value in enumerate(values, start=1)]
+    return ["TYPE COORDBRK", "CURV 0.0", *lines, f"DISZ {_number(distance_mm)}"]
 
 
 def _number(value: float) -> str:
