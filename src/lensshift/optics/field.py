@@ -5,7 +5,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from itertools import count
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -91,12 +92,10 @@ def lens_field(
         if reach_px is None:
             found = _reaching(lens, grid, element, motion, on_progress)
         else:
-            found = _fitted(_mover(lens, grid, element, motion, reach_px), on_progress)
-    for what, error_px, most_px in zip(
-        ("shifts", "widths of the spot"),
-        (found.shift_error_px, found.spot_error_px),
-        (_DOUBTFUL_PX, _DOUBTFUL_WIDTH_PX),
-        strict=True,
+            found, _ = _fitted(_mover(lens, grid, element, motion, reach_px), on_progress)
+    for what, error_px, most_px in (
+        ("shifts", found.shift_error_px, _DOUBTFUL_PX),
+        ("widths of the spot", found.spot_error_px, _DOUBTFUL_WIDTH_PX),
     ):
         if error_px > most_px:
             warn_quality(
@@ -104,20 +103,7 @@ def lens_field(
                 "blur it away, far from rest or at the edge of the sensor? A smaller reach_px or "
                 "sensor may help"
             )
-    return LensField(
-        grid=grid,
-        shift_px=found.shift_px,
-        spot_px2=found.spot[..., :2],
-        skew_px3=found.spot[..., 2:],
-        reach=found.mover.reach,
-        motion=found.mover.motion,
-        element=element,
-        lens=lens.name,
-        shift_error_px=found.shift_error_px,
-        spot_error_px=found.spot_error_px,
-        contrast_error=found.contrast_error,
-        notes=marks_of(lens) | {"temperature_c": lens.temperature_c},
-    )
+    return found
 
 
 def check_focus(lens: Lens, grid: Grid) -> None:
@@ -131,36 +117,37 @@ def check_focus(lens: Lens, grid: Grid) -> None:
         )
 
 
-class _Fitted(NamedTuple):
-    """What moves, the coefficients of shift and spot, and how well they fit."""
-
-    mover: _Mover
-    shift_px: Floats
-    shift_error_px: float
-    spot: Floats  # variances, and third moments
-    spot_error_px: float
-    near_error_px: float  # of widths in the inner half of the states
-    contrast_error: float
-
-
-def _fitted(mover: _Mover, told: Callable[[int, int], None] | None) -> _Fitted:
-    done = 0
+def _fitted(mover: _Mover, told: Callable[[int, int], None] | None) -> tuple[LensField, float]:
+    """Return the field, and the error of the widths in the inner half of its states."""
+    done = count(1)
 
     def counted(sample: Sample) -> Sample:
         def one(places: Floats, states: Floats) -> NDArray[Any]:
-            nonlocal done
             found = sample(places, states)
-            done += 1
             if told is not None:
-                told(done, _MOST_TRACES)
+                told(next(done), _MOST_TRACES)
             return found
 
         return one
 
     shift_px, shift_error_px = _fit(counted(mover.shifts), _DEGREES, _SHIFT_PX)
     spot, _ = _fit(counted(mover.spots), _SPOT_DEGREES, _SPOT_PX2)
-    errors = _spot_errors(counted(mover.otf), spot)
-    return _Fitted(mover, shift_px, shift_error_px, spot, *errors)
+    spot_error_px, near_error_px, contrast_error = _spot_errors(counted(mover.otf), spot)
+    field = LensField(
+        grid=mover.grid,
+        shift_px=shift_px,
+        spot_px2=spot[..., :2],
+        skew_px3=spot[..., 2:],
+        reach=mover.reach,
+        motion=mover.motion,
+        element=mover.element,
+        lens=mover.lens.name,
+        shift_error_px=shift_error_px,
+        spot_error_px=spot_error_px,
+        contrast_error=contrast_error,
+        notes=marks_of(mover.lens) | {"temperature_c": mover.lens.temperature_c},
+    )
+    return field, near_error_px
 
 
 def _reaching(
@@ -169,18 +156,18 @@ def _reaching(
     element: int | None,
     motion: Motion | None,
     told: Callable[[int, int], None] | None,
-) -> _Fitted:
+) -> LensField:
     """Return the fit for the reach that the lens allows."""
     mover = _mover(lens, grid, element, motion, _REACH_PX)
     try:
-        found = _fitted(mover, told)
+        found, near_error_px = _fitted(mover, told)
         # Widths that are as far off near rest are no better with less reach.
-        sharp = found.spot_error_px < _DOUBTFUL_WIDTH_PX or found.near_error_px > _DOUBTFUL_WIDTH_PX
+        sharp = found.spot_error_px < _DOUBTFUL_WIDTH_PX or near_error_px > _DOUBTFUL_WIDTH_PX
         if found.shift_error_px < _DOUBTFUL_PX and sharp:
             return found
     except ValueError:  # no light at all so far away
         pass
-    return _fitted(_mover(lens, grid, element, motion, 0.5 * _REACH_PX), told)
+    return _fitted(_mover(lens, grid, element, motion, 0.5 * _REACH_PX), told)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
