@@ -172,9 +172,8 @@ class _Search:
         build = Build(decenter_mm=moves, gap_mm=gap_mm[:, None, None])
         azimuths_rad = np.linspace(0.0, np.pi, self.effort.azimuths, endpoint=False)
         mtf, rays = np.zeros(1), None
-        for nm, share in light_of(
-            goal.band, goal.wavelength_nm
-        ):  # without what colours beside each other take from the sum
+        # Without what colours beside each other take from the sum.
+        for nm, share in light_of(goal.band, goal.wavelength_nm):
             rays = trace(self.base, fields[:, None], self.points, build=build, wavelength_nm=nm)
             mtf = mtf + share * scan_focus(
                 rays, self.weight, self.effort.rings, goal.judged_lpmm, azimuths_rad,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -160,15 +160,10 @@ def _turned(z_mm: Floats, height_mm: Floats, lean_rad: float) -> tuple[Floats, F
 
 def _outline(lines: tuple[Polyline, ...]) -> Polyline:
     """Return front, edge, back and edge of an element as a closed line."""
-    front, back = lines[0], lines[-1]
-    rim = lines[1:-1]
-
-    def around(along: Callable[[Polyline], Floats]) -> Floats:
-        upper, lower = [along(one)[-1] for one in rim], [along(one)[0] for one in rim[::-1]]
-        first = along(front)
-        return np.concatenate([first, upper, along(back)[::-1], lower, first[:1]])
-
-    return Polyline(around(lambda line: line.z_mm), around(lambda line: line.height_mm))
+    points = [np.stack([line.z_mm, line.height_mm]) for line in lines]
+    upper, lower = [one[:, -1:] for one in points[1:-1]], [one[:, :1] for one in points[-2:0:-1]]
+    front, back = points[0], points[-1][:, ::-1]
+    return Polyline(*np.concatenate([front, *upper, back, *lower, front[:, :1]], axis=1))
 
 
 def _rays(

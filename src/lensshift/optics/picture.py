@@ -97,14 +97,10 @@ def picture_score(
     each_noise = noise * math.sqrt(len(frames.offset_px) / 4.0)
     squares, contrast = [], []
     for number in range(frames.offset_px.shape[1]):
-        otf, here_px = frames.otf(number), frames.offset_px[:, number]
-        squares.append(
-            [
-                linear_rmse(here_px, otf, each_noise, wrong_px, place_px=place_px) ** 2
-                for wrong_px in (error_px, 0.0)
-            ]
-        )
-        contrast.append(linear_mtf(here_px, otf, each_noise, error_px, place_px=place_px))
+        seen = (frames.offset_px[:, number], frames.otf(number), each_noise)
+        both = [linear_rmse(*seen, wrong, place_px=place_px) for wrong in (error_px, 0.0)]
+        squares.append(np.square(both))
+        contrast.append(linear_mtf(*seen, error_px, place_px=place_px))
     rmse, exact = map(float, np.sqrt(np.mean(squares, axis=0)))
     mtf = float(np.mean(contrast))
     return PictureScore(element, pattern, place_px, rmse, exact, mtf, error_px)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -22,18 +23,9 @@ from lensshift.optics.which import AZIMUTHS_RAD, POSITIONS, edge_fields, judged_
 _RINGS = 3  # MTF within 0.002
 _CHUNK = 100  # builds traced at once
 _COARSE_MM, _FINE_MM = 0.04, 0.005  # steps of the refocus
-
-
 # Rows of the random numbers [build row element] that each tolerance uses.
-_GAP_ROWS = (4,)
-_KINDS = (
-    ("decentre", (0, 1)),
-    ("tilt", (2, 3)),
-    ("gap", _GAP_ROWS),
-    ("focal length", (5,)),
-    ("index", (6,)),
-)
-_OF_GLASS = ((5,), (6,))  # what mirrors do not have
+_KINDS = {"decentre": (0, 1), "tilt": (2, 3), "gap": (4,), "focal length": (5,), "index": (6,)}
+_OF_GLASS = ("focal length", "index")  # what mirrors do not have
 _ROWS = 7
 
 
@@ -218,33 +210,24 @@ def sensitivity_table(
     """
     bench = _Bench(lens, element, grid, shift_px, frequency_lpmm, refocus_mm)
     count = len(lens.elements)
-    cases, draws = [(-1, 0)], [np.zeros((_ROWS, count))]
-    for kind, (_, rows) in enumerate(_KINDS):
-        for number in range(count - 1 if rows == _GAP_ROWS else count):
-            if rows in _OF_GLASS and not lens.elements[number].glass:
-                continue
-            for signs in np.array(np.meshgrid(*[[-1.0, 1.0]] * len(rows))).reshape(len(rows), -1).T:
-                draw = np.zeros((_ROWS, count))
-                draw[list(rows), number] = signs
-                cases.append((kind, number))
-                draws.append(draw)
+    cases, draws = [("", 0)], [np.zeros((_ROWS, count))]
+    for kind, number in product(_KINDS, range(count)):
+        last_gap = kind == "gap" and number == count - 1
+        if last_gap or (kind in _OF_GLASS and not lens.elements[number].glass):
+            continue
+        for signs in product((-1.0, 1.0), repeat=len(_KINDS[kind])):
+            cases.append((kind, number))
+            draws.append(np.zeros((_ROWS, count)))
+            draws[-1][list(_KINDS[kind]), number] = signs
     mtf, moved_px, away_mm = bench.measure(_deviations(lens, tolerances, np.array(draws)))
     loss = mtf[0].min() - mtf.min(axis=(1, 2, 3))
     error_px = np.linalg.norm(moved_px - moved_px[0], axis=-1).max(axis=(1, 2))
     refocus = np.abs(away_mm - away_mm[0])
     table = []
-    for case in dict.fromkeys(cases[1:]):
-        mine = [number for number, one in enumerate(cases) if one == case]
-        table.append(
-            Sensitivity(
-                kind=_KINDS[case[0]][0],
-                element=case[1],
-                name=lens.elements[case[1]].name,
-                mtf_loss=float(loss[mine].max()),
-                shift_error_px=float(error_px[mine].max()),
-                refocus_mm=float(refocus[mine].max()),
-            )
-        )
+    for kind, element in dict.fromkeys(cases[1:]):
+        mine = [number for number, one in enumerate(cases) if one == (kind, element)]
+        worst = (float(of[mine].max()) for of in (loss, error_px, refocus))
+        table.append(Sensitivity(kind, element, lens.elements[element].name, *worst))
     return tuple(sorted(table, key=lambda row: -row.mtf_loss))
 
 

@@ -150,12 +150,11 @@ def edge_mtf(
     fields_tan : [field 2] of `edge_fields`
     build, band : as for `exact_otf`
     """
-    return np.abs(
-        [
-            exact_otf(lens, field, frequency_lpmm, AZIMUTHS_RAD, build=build, band=band)[:, 0]
-            for field in fields_tan
-        ]
-    )
+    otf = [
+        exact_otf(lens, field, frequency_lpmm, AZIMUTHS_RAD, build=build, band=band)
+        for field in fields_tan
+    ]
+    return np.abs(otf)[..., 0]
 
 
 def moved_mtf(
@@ -174,12 +173,8 @@ def moved_mtf(
     ----------
     moves_mm : [move 2] (row, col), in the order of `DIAGONALS`
     """
-    return np.stack(
-        [
-            edge_mtf(lens, fields_tan, frequency_lpmm, moving(lens, element, move), band)
-            for move in moves_mm[: diagonals_that_differ(lens)]
-        ]
-    )
+    builds = (moving(lens, element, move) for move in moves_mm[: diagonals_that_differ(lens)])
+    return np.stack([edge_mtf(lens, fields_tan, frequency_lpmm, one, band) for one in builds])
 
 
 def diagonals_that_differ(lens: Lens) -> int:
