@@ -7,16 +7,14 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 
 import numpy as np
 
-from lensshift.capture.emulators.listener import check_own
+from lensshift.capture.emulators.listener import EmulatedCamera, Look
 from lensshift.core.arrays import Floats
 from lensshift.core.types import Frame
-
-Look = Callable[[float, float], Frame]
 
 ROWS, COLS = 16, 64  # of the only sensor there is
 LAYOUTS = {"1.0": 18900, "1.1": 19036, "1.2": 19044, "1.3": 19224, "1.4": 19224}  # bytes
@@ -129,11 +127,8 @@ def parameter_message() -> bytes:
     return magic.ljust(size, b"\0")
 
 
-class O3MSender:
-    """Sends what `look` sees, cycle by cycle; a context manager with a thread.
-
-    `look` is called with begin and end of an exposure (`time.monotonic`), after its end.
-    """
+class O3MSender(EmulatedCamera):
+    """Sends what `look` sees, cycle by cycle; a context manager with a thread."""
 
     def __init__(
         self,
@@ -150,29 +145,18 @@ class O3MSender:
         full_scale: float = 4.0,  # amplitude that saturates the weakest setting
         seed: int = 0,  # of the faults
     ) -> None:
-        check_own(host)
+        super().__init__(look, host, rate_hz, exposure_s)
         if not 0 < port <= 65535:
             raise ValueError(f"expected the UDP port of the receiver, got {port}")
-        if not (rate_hz > 0 and 0 <= exposure_s <= 1 / rate_hz):
-            raise ValueError(
-                "expected a positive rate, an exposure within its period and a delay of at least "
-                f"0 s, got {rate_hz} Hz, {exposure_s} s and {_DELAY_S} s"
-            )
-        self.sent = 0
         self.frames_dropped = 0
-        self._look = look
         self._target = (host, port)
-        self._period_s = 1.0 / rate_hz
         self._faults = (loss, reorder, duplicate)
-        self._exposure_s = exposure_s
         self._full_scale = full_scale
         self._rng = np.random.default_rng(seed)
         self._paused = False
         self._cycle = _FIRST_CYCLE
         self._packet = _FIRST_CYCLE * 15
         self._lock = threading.Lock()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
         self.set_layout(layout)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
@@ -182,15 +166,6 @@ class O3MSender:
         """Address that the packets come from."""
         host, port = self._socket.getsockname()[:2]
         return str(host), int(port)
-
-    def __enter__(self) -> O3MSender:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._socket.close()
 
     def pause(self) -> None:
         """Fall silent; the cycles go on."""

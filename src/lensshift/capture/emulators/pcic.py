@@ -6,21 +6,17 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 
 from lensshift.capture.drivers.pcic_protocol import RESULT_TICKET, PcicParser, write_message
-from lensshift.capture.emulators.listener import check_own, listen
+from lensshift.capture.emulators.listener import EmulatedCamera, Look, listen
 from lensshift.capture.emulators.pcic_result import MODELS, result_content, schema_text, wanted_by
-from lensshift.core.types import Frame
-
-Look = Callable[[float, float], Frame]
 
 _LONGEST_COMMAND = 1 << 16  # a schema has a few thousand bytes
 _SEND_S = 2.0  # a client that takes nothing for so long is dropped
 
 
-class PcicServer:
+class PcicServer(EmulatedCamera):
     """Answers commands and streams what `look` sees; a context manager with a thread.
 
     One client at a time. Commands: `p0`, `p1` output off and on, `V?`, `G?`, `C?`, `c` with a
@@ -38,42 +34,22 @@ class PcicServer:
         exposure_s: float = 0.005,  # length of an exposure
         first_count: int = 100,  # frame count at the beginning
     ) -> None:
-        check_own(host)
+        super().__init__(look, host, rate_hz, exposure_s)
         if model not in MODELS:
             raise ValueError(f"expected a model of {', '.join(MODELS)}, got {model!r}")
-        if not (rate_hz > 0 and 0 <= exposure_s <= 1 / rate_hz):
-            raise ValueError(
-                "expected a positive rate and an exposure within its period, got "
-                f"{rate_hz} Hz and {exposure_s} s"
-            )
-        self.sent = 0
         self.schema = schema_text(model)
         self._wanted = wanted_by(self.schema, model)
-        self._look = look
-        self._period_s = 1.0 / rate_hz
-        self._exposure_s = exposure_s
         self._model = model
         self._count = first_count
         self._streams = False
         self._garbage = b""
         self._hang_up = threading.Event()
-        self._stop = threading.Event()
-        self._listener = listen(host, port)
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._socket = listen(host, port)
 
     @property
     def port(self) -> int:
         """TCP port to connect to."""
-        return int(self._listener.getsockname()[1])
-
-    def __enter__(self) -> PcicServer:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._listener.close()
+        return int(self._socket.getsockname()[1])
 
     def hang_up(self) -> None:
         """Drop the connection."""
@@ -89,8 +65,8 @@ class PcicServer:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            if select.select([self._listener], [], [], 0.05)[0]:
-                client, _ = self._listener.accept()
+            if select.select([self._socket], [], [], 0.05)[0]:
+                client, _ = self._socket.accept()
                 client.settimeout(_SEND_S)
                 with client, suppress(OSError):  # the client may go at any time
                     self._serve(client)
