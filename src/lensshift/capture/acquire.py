@@ -122,16 +122,9 @@ def acquire(
     """
     position_mm = calibration.stage_mm(plan.target_px)
     return acquire_at(
-        stage,
-        camera,
-        position_mm,
-        calibration,
-        path,
-        settings,
-        plan_name=plan.name,
-        resume=resume,
-        on_step=on_step,
-    )
+        stage, camera, position_mm, calibration, path, settings,
+        plan_name=plan.name, resume=resume, on_step=on_step,
+    )  # fmt: skip
 
 
 def acquire_at(
@@ -237,9 +230,8 @@ def _return(stage: Stage, rest_mm: Array, *, finished: bool, failed: bool) -> No
                 raise
         except KeyboardInterrupt as error:
             stage.stop()
-            here, rest = (
-                ", ".join(f"{x:.4f}" for x in one) for one in (stage.position_mm(), rest_mm)
-            )
+            both = (stage.position_mm(), rest_mm)
+            here, rest = (", ".join(f"{x:.4f}" for x in one) for one in both)
             raise KeyboardInterrupt(f"the lens stands at {here} mm, rest is {rest} mm") from error
 
 

@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import json
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from lensshift.capture.rig import Camera, Stage
 from lensshift.core.arrays import Array
 from lensshift.core.calibration import Calibration
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, naming
 from lensshift.core.types import Burst
 from lensshift.io import load_burst
 from lensshift.io.calibration_file import calibration_content
@@ -125,23 +126,20 @@ def opened(path: str | Path, header: Mapping[str, Any], *, resume: bool) -> Capt
     """
     if not resume or not Path(path).exists():
         return CaptureWriter.create(path, header)
-    file = CaptureWriter.resume(path)
-    try:
-        _check_same(file.header, header, path)
-    except DataError:
-        file.close()
-        raise
+    with ExitStack() as opening, naming(path):
+        file = opening.enter_context(CaptureWriter.resume(path))
+        _check_same(file.header, header)
+        opening.pop_all()
     return file
 
 
-def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any], path: str | Path) -> None:
+def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     for name in _SAME:
         if begun.get(name) != wanted[name]:
             raise DataError(
                 f"the capture was begun with {name} {begun.get(name)!s:.60}, not "
                 f"{wanted[name]!s:.60}; resume it as it was begun, or begin anew (--restart)",
                 field=name,
-                source=path,
             )
     ours = wanted["calibration"]["sha256"]
     theirs = begun.get("calibration", {}).get("sha256", "unknown")
@@ -150,7 +148,6 @@ def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any], path: str |
             f"the capture was begun with another calibration (sha256 {theirs:.12}, not "
             f"{ours:.12}); resume it with that one, or begin anew (--restart)",
             field="calibration",
-            source=path,
         )
     before, now = (np.asarray(one["position_mm"], dtype=float) for one in (begun, wanted))
     same = before.shape == now.shape
@@ -158,6 +155,4 @@ def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any], path: str |
         near = np.abs(before[:, None] - now).max(axis=-1) <= _SAME_MM
         same = bool(near.any(axis=0).all() and near.any(axis=1).all())
     if not same:
-        raise DataError(
-            "the capture was begun with other positions", field="position_mm", source=path
-        )
+        raise DataError("the capture was begun with other positions", field="position_mm")

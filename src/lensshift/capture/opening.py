@@ -28,13 +28,9 @@ from lensshift.io.capture_file import FrameRecord
 
 # Lens travel of a quarter pixel of 0.155 mm, with the first lens of the reference design.
 QUARTER_PIXEL_MM = 0.0444
-# Kind of camera -> its module beside the drivers, and its class there.
-_CAMERAS = {
-    "o3m": ("o3m", "O3MCamera"),
-    "pcic": ("pcic", "PcicCamera"),
-    "replay": ("replay", "ReplayCamera"),
-    "genicam": ("genicam", "GenicamCamera"),
-}
+_CAMERAS = {  # kind of camera, as its module beside the drivers -> its class there
+    "o3m": "O3MCamera", "pcic": "PcicCamera", "replay": "ReplayCamera", "genicam": "GenicamCamera",
+}  # fmt: skip
 EXAMPLE = """\
 # A rig: two Thorlabs actuators that move the lens, and a camera.
 
@@ -102,15 +98,9 @@ class Rig(Closing):
     ) -> Burst:
         """Take the burst of a plan, see `lensshift.capture.acquire.acquire`."""
         return acquire(
-            self.stage,
-            self.camera,
-            _plan(plan),
-            self.calibration,
-            path,
-            self.acquisition,
-            resume=resume,
-            on_step=on_step,
-        )
+            self.stage, self.camera, _plan(plan), self.calibration, path, self.acquisition,
+            resume=resume, on_step=on_step,
+        )  # fmt: skip
 
     def scan(
         self,
@@ -125,17 +115,9 @@ class Rig(Closing):
         The stage goes straight from one to the next, so that the scan shows its play.
         """
         return acquire_at(
-            self.stage,
-            self.camera,
-            position_mm,
-            self.calibration,
-            path,
-            self.acquisition,
-            direct=True,
-            plan_name="scan",
-            resume=resume,
-            on_step=on_step,
-        )
+            self.stage, self.camera, position_mm, self.calibration, path, self.acquisition,
+            direct=True, plan_name="scan", resume=resume, on_step=on_step,
+        )  # fmt: skip
 
     def bursts(self, plan: ShiftPlan | str) -> Iterator[Burst]:
         """Yield one burst after another until the caller stops."""
@@ -249,14 +231,8 @@ def read_rig(config: str | Path | _Table) -> RigFile:
     with settings_of(source):
         only(table, parts)
         stage, camera, calibration, acquisition = (table_of(table, name) for name in parts)
-        return RigFile(
-            stage,
-            camera,
-            *_calibration(calibration, folder),
-            built(Acquisition, acquisition, "acquisition"),
-            source,
-            folder,
-        )
+        settings = built(Acquisition, acquisition, "acquisition")
+        return RigFile(stage, camera, *_calibration(calibration, folder), settings, source, folder)
 
 
 def nominal_calibration(
@@ -319,8 +295,7 @@ def _camera(table: _Table, folder: Path) -> Camera:
         raise DataError(f"expected {expected}, got {kind!r}", field="camera.kind")
     if kind == "replay" and "path" in rest:
         rest["path"] = folder / fit(rest["path"], str, "camera.path")
-    module, name = _CAMERAS[kind]
-    make = getattr(import_module(f"lensshift.capture.drivers.{module}"), name)
+    make = getattr(import_module(f"lensshift.capture.drivers.{kind}"), _CAMERAS[kind])
     camera: Camera = built(make, rest, "camera")
     return camera
 

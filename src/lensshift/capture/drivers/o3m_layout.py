@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,10 +82,7 @@ class O3MImage:
 
         None where a coordinate is not finite or at the camera.
         """
-        ahead, left, up = (
-            np.asarray(self.raw[axis], dtype=np.float64) - self.raw["calibration"][index]
-            for index, axis in enumerate(("x_m", "y_m", "z_m"))
-        )
+        ahead, left, up = _from_camera_m(self.raw)
         vectors = np.stack([-left, -up, ahead], axis=-1)
         whole = np.isfinite(vectors).all() and vectors.any(axis=-1).all()
         return vectors if whole else None
@@ -159,14 +157,16 @@ def read_image(message: bytes) -> O3MImage:
     )
 
 
+def _from_camera_m(pixels: Any) -> Floats:
+    """Return the coordinates (ahead, left, up) from the camera, [3 row col]."""
+    places_m = np.array([pixels[axis] for axis in ("x_m", "y_m", "z_m")], dtype=np.float64)
+    return np.asarray(places_m - pixels["calibration"][:3, None, None])
+
+
 def _distance_m(pixels: np.void) -> tuple[Floats, int]:
     """Return radial distances and how many of them are in whole centimetres."""
     coarse_m = pixels["distance_cm"] * _COARSE_M
-    camera_m = pixels["calibration"].astype(np.float64)
-    squares = sum(
-        (pixels[axis] - camera_m[index]) ** 2 for index, axis in enumerate(("x_m", "y_m", "z_m"))
-    )
-    fine_m = np.sqrt(squares)
+    fine_m = np.sqrt(np.sum(_from_camera_m(pixels) ** 2, axis=0))
     agree = np.abs(fine_m - coarse_m) <= _COARSE_M
     return np.where(agree, fine_m, coarse_m), int(np.count_nonzero(~agree))
 
