@@ -178,22 +178,13 @@ def fast_otf(
     centre = sum(
         (s / total)[..., None] * part.centroid_mm for s, part in zip(share, parts, strict=True)
     )
-    otf = sum(
-        (s / total)[..., None, None]
-        * _spot_otf(
-            part,
-            with_middle(part, lens, field_tan, build, nm, count),
-            part.centroid_mm - centre,
-            axes,
-            frequency,
-            nm,
-            defocus_mm,
-            count,
-            obstruction(lens),
-        )
-        for s, part, (nm, _) in zip(share, parts, light, strict=True)
-    )
-    return np.asarray(otf)
+    otf = np.zeros((), dtype=np.complex128)
+    for s, part, (nm, _) in zip(share, parts, light, strict=True):
+        whole = with_middle(part, lens, field_tan, build, nm, count)
+        landing = _landing_mm(whole, part.centroid_mm - centre, axes, defocus_mm)
+        found = _spot_otf(part, whole, landing, axes, frequency, nm, count, obstruction(lens))
+        otf = otf + (s / total)[..., None, None] * found
+    return otf
 
 
 def _enough_spots(
@@ -213,9 +204,8 @@ def _enough_spots(
         parts = [
             spots(lens, field_tan, build=build, wavelength_nm=nm, rings=count) for nm, _ in light
         ]
-        return parts, highest_lpmm * max(
-            _farthest_mm(part, axes, defocus_mm, count) for part in parts
-        )
+        farthest_mm = max(_farthest_mm(part, axes, defocus_mm, count) for part in parts)
+        return parts, highest_lpmm * farthest_mm
 
     count = rings or _RINGS
     parts, periods = traced(count)
@@ -260,15 +250,14 @@ def _farthest_mm(spot: Spots, axes: Floats, defocus_mm: ArrayLike, rings: int) -
 def _spot_otf(
     spot: Spots,
     whole: Spots,
-    from_centre_mm: Floats,
+    landing: Floats,
     axes: Floats,
     frequency_lpmm: Floats,
     wavelength_nm: float,
-    defocus_mm: ArrayLike,
     rings: int,
     inner: float,
 ) -> NDArray[np.complex128]:
-    """Return the OTF of one wavelength about a point, [... azimuth frequency].
+    """Return the OTF of one wavelength about the point from which rays land, as `fast_otf`.
 
     Parameters
     ----------
@@ -276,7 +265,6 @@ def _spot_otf(
     """
     from lensshift.optics.otf_kernel import spot_otf
 
-    landing = _landing_mm(whole, from_centre_mm, axes, defocus_mm)
     cosine = np.moveaxis(spot.direction[..., :2] @ axes, -1, -2)
     weight = spot.weight[..., None, :]
     mean = (weight * cosine).sum(axis=-1, keepdims=True)
@@ -287,13 +275,10 @@ def _spot_otf(
     spot_otf(
         landing.reshape(-1, count, rays),
         np.broadcast_to(whole.weight, (*landing.shape[:-2], rays)).copy().reshape(-1, rays),
-        np.abs(axes.T @ pupil_arms(rings).T),
-        ring_edges(rings, inner),
-        inner,
+        np.abs(axes.T @ pupil_arms(rings).T), ring_edges(rings, inner), inner,
         np.broadcast_to(shear_mm, landing.shape[:-1]).copy().reshape(-1, count),
-        frequency_lpmm,
-        otf.reshape(-1, count, len(frequency_lpmm)),
-    )
+        frequency_lpmm, otf.reshape(-1, count, len(frequency_lpmm)),
+    )  # fmt: skip
     return otf
 
 
