@@ -146,7 +146,7 @@ class _Bench:
     """Ray errors and missed limits of lenses by their vectors."""
 
     def __init__(self, lens: Lens, task: Task, freedom: Freedom, share: float) -> None:
-        self.task, self.share, self.given = task, share, lens
+        self.task, self.share = task, share
         points, weight = pupil_quadrature(_RINGS, _ARMS)
         half = points[:, 0] > 0  # the other half is its mirror image
         self.points = np.concatenate([points[half], _RIM])
@@ -295,28 +295,22 @@ class _Bench:
 
     def open(self, vector: Floats) -> Lens:
         """Return the lens of a vector with its stop, stock lenses with their edges."""
-        drawn = self.variables.lens(vector)
-        elements = tuple(
-            bare if number in self.variables.made else given
-            for number, (bare, given) in enumerate(
-                zip(drawn.elements, self.given.elements, strict=True)
-            )
-        )
-        return replace(drawn, elements=elements, stop=self.stopped(drawn).stop)
+        lens = self.stopped(self.variables.lens(vector))
+        edged = zip(lens.surfaces, self.edges_mm, strict=True)
+        return lens.with_surfaces(replace(one, semi_diameter_mm=edge) for one, edge in edged)
 
     def finished(self, vector: Floats) -> Lens:
         """Return the lens of a vector, its made surfaces as wide as the rays to the corner need."""
-        drawn = self.variables.lens(vector)
-        lens = self.stopped(drawn)
+        lens = self.stopped(self.variables.lens(vector))
         heights_mm = _ROOM * self.traced(lens, self.aimed(lens))[1]
-        surfaces = list(drawn.surfaces)
+        surfaces = list(lens.surfaces)
         for number, high_mm in enumerate(map(float, heights_mm)):
             one, edge_mm = surfaces[number], self.edges_mm[number]
             if self.owner[number] in self.variables.made:
-                edge_mm = _within_mm(one.curvature_per_mm, one.conic, high_mm)
+                edge_mm = _within_mm(one, high_mm)
             surfaces[number] = replace(one, semi_diameter_mm=edge_mm)
         notes: list[str] = []
-        for number, apart_mm in enumerate(drawn.spaces_mm()[:-1]):
+        for number, apart_mm in enumerate(lens.spaces_mm()[:-1]):
             surfaces[number : number + 2] = trimmed(
                 surfaces[number], surfaces[number + 1], apart_mm, number + 1, notes
             )
@@ -325,18 +319,15 @@ class _Bench:
         return lens.with_surfaces(surfaces)
 
 
-def _within_mm(curvature_per_mm: float, conic: float, high_mm: float) -> float:
+def _within_mm(surface: Surface, high_mm: float) -> float:
     """Return a height, or where the surface ends if that is nearer."""
-    bend = (1.0 + conic) * curvature_per_mm**2
+    bend = (1.0 + surface.conic) * surface.curvature_per_mm**2
     return min(high_mm, 0.999 / math.sqrt(bend)) if bend > 0 else high_mm
 
 
 def _room_mm(front: Surface, back: Surface, apart_mm: float, high_mm: Floats) -> float:
     """Return the room between two surfaces, each at its edge and both at the lower of these."""
-    edges_mm = [
-        _within_mm(one.curvature_per_mm, one.conic, float(high))
-        for one, high in zip((front, back), high_mm, strict=True)
-    ]
+    edges_mm = _within_mm(front, float(high_mm[0])), _within_mm(back, float(high_mm[1]))
     at_mm = np.array([*edges_mm, min(edges_mm)])
     of_front, of_back = front.sag_mm(at_mm[[0, 2]]), back.sag_mm(at_mm[[1, 2]])
     return float((apart_mm + of_back - of_front).min())

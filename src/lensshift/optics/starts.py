@@ -102,10 +102,10 @@ def _drawn(lens: Lens, task: Task, freedom: Freedom, rng: np.random.Generator) -
         curved = any(surface.curvature_per_mm for surface in element.surfaces)
         if not (curved if freedom.elements is None else number in freedom.elements):
             continue
-        shapes = []
-        for surface in element.surfaces:
-            bend = rng.normal(0.0, _SPREAD / task.focal_length_mm)
-            curvature = surface.curvature_per_mm + bend
-            shapes.append(replace(surface, radius_mm=1.0 / curvature, semi_diameter_mm=np.inf))
+        bends = rng.normal(0.0, _SPREAD / task.focal_length_mm, len(element.surfaces)).tolist()
+        shapes = (
+            replace(one, radius_mm=1.0 / (one.curvature_per_mm + bend), semi_diameter_mm=np.inf)
+            for one, bend in zip(element.surfaces, bends, strict=True)
+        )
         elements[number] = replace(element, surfaces=tuple(shapes))
     return replace(lens, elements=tuple(elements))
