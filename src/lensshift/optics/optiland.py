@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, of_extra
 from lensshift.optics.glass import GLASSES, refractive_index
 from lensshift.optics.glass_called import glass_called
 from lensshift.optics.lens import Lens, Surface
@@ -85,24 +86,24 @@ def from_optiland(optic: Any) -> Lens:
 def _planes(lens: Lens) -> Iterator[tuple[float, dict[str, Any]]]:
     """Yield place and options of the surfaces and the stop as light meets them."""
     before = lens.elements_before_stop()
-    for number, (element, start_mm) in enumerate(
-        zip(lens.elements, lens.positions_mm(), strict=False)
-    ):
+    places = zip(lens.elements, lens.positions_mm(), strict=False)
+    for number, (element, start_mm) in enumerate(places):
         if number == before:
             yield _stop(lens)
         turned = rotations_of(np.array(element.tilt_rad))
         depths_mm = np.cumsum([0.0, *element.thickness_mm])
         materials = [_glass_class()(glass, lens.temperature_c) for glass in element.glass]
-        for depth_mm, surface, material in zip(
-            depths_mm, element.surfaces, (*materials, "air"), strict=True
-        ):
+        behind = zip(depths_mm, element.surfaces, (*materials, "air"), strict=True)
+        for depth_mm, surface, material in behind:
             vertex_mm = np.array([*element.decenter_mm, start_mm]) + depth_mm * turned[:, 2]
             y, x, z = (turned @ rotations_of(np.array(surface.tilt_rad)))[:, 2]
-            placed = {"rx": -math.asin(y), "ry": math.atan2(x, z), "comment": element.name}
-            yield (
-                float(vertex_mm[2]),
-                _options(surface, vertex_mm) | placed | {"material": material},
-            )
+            placed: dict[str, Any] = {
+                "rx": -math.asin(y),
+                "ry": math.atan2(x, z),
+                "comment": element.name,
+            }
+            placed |= _options(surface, vertex_mm) | {"material": material}
+            yield float(vertex_mm[2]), placed
     if before == len(lens.elements):
         yield _stop(lens)
 
@@ -184,12 +185,9 @@ def _from_object(entries: list[Entry], frames: list[Frame]) -> list[Frame]:
     placed = [Frame(frame.origin - from_mm, frame.axes) for frame in frames]
     if far:
         placed[0] = placed[1]  # an infinite place cannot be turned
-    for number, entry in enumerate(entries[:-1]):
-        if not entry.glass:
-            continue
-        here, behind = placed[number], placed[number + 1]
-        step_mm = (behind.origin - here.origin) @ here.axes
-        entry.distance_mm = float(step_mm[2])
+    for entry, (here, behind) in zip(entries, pairwise(placed), strict=False):
+        if entry.glass:
+            entry.distance_mm = float((behind.origin - here.origin) @ here.axes[:, 2])
     return placed
 
 
@@ -235,11 +233,5 @@ def _glass_class() -> Any:
 
 def _need(name: str) -> Any:
     """Return a module of Optiland."""
-    from importlib import import_module
-
-    try:
-        return import_module(name)
-    except ModuleNotFoundError as error:
-        raise ImportError(
-            "expected Optiland, which is not installed: pip install lensshift[optiland]"
-        ) from error
+    needed = "expected Optiland, which is not installed: pip install lensshift[optiland]"
+    return of_extra(name, needed)

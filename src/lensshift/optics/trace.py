@@ -108,8 +108,7 @@ def trace(
         If a shape is not as above, the shapes do not broadcast, a number is not finite, or a mirror
         is tilted by the build.
     """
-    fields = _pairs(field_tan, "field_tan")
-    points = _pairs(pupil, "pupil")
+    fields, points = _checked(field_tan, (2,), "field_tan"), _checked(pupil, (2,), "pupil")
     if points.ndim != 2:
         raise ValueError(f"expected pupil [ray 2], got shape {points.shape}")
     system = System(lens, build or Build(), fields, wavelength_nm)
@@ -257,13 +256,6 @@ def rotations_of(tilt_rad: Floats) -> Floats:
         [-sin_row, -cos_row * sin_col, cos_row * cos_col],
     ]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-def _pairs(values: ArrayLike, name: str) -> Floats:
-    pairs = np.asarray(values, dtype=np.float64)
-    if pairs.ndim < 1 or pairs.shape[-1] != 2 or not np.all(np.isfinite(pairs)):
-        raise ValueError(f"expected finite {name} [... 2] (row, col), got shape {pairs.shape}")
-    return pairs
 
 
 def _tilts(lens: Lens, tilt_rad: ArrayLike) -> Floats:
