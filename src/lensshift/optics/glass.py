@@ -133,15 +133,12 @@ def _shipped() -> dict[str, Glass]:
     known = parse_agf(lines_of("glasses.agf")) | GLASSES
     for name, *numbers in map(str.split, lines_of("glass_codes.txt").splitlines()):
         index_d, abbe = map(float, numbers)
-        made_from = _unmoulded(name)
-        solid = known.get(made_from)
-        known[name] = (
-            _model(f"model:{index_d!r}:{abbe!r}:0")
-            if solid is None
-            else replace(
-                solid, lower_by=index_of(solid, D_UM) - index_d, source=f"{made_from}, moulded"
-            )
-        )
+        if (solid := known.get(_unmoulded(name))) is None:
+            known[name] = _model(f"model:{index_d!r}:{abbe!r}:0")
+        else:
+            lower_by = index_of(solid, D_UM) - index_d
+            source = f"{_unmoulded(name)}, moulded"
+            known[name] = replace(solid, lower_by=lower_by, source=source)
     return known
 
 
@@ -347,13 +344,9 @@ def air_index(wavelength_nm: float, temperature_c: float) -> float:
 
     Source: Kohlrausch, Praktische Physik 1 (1968) 408, as quoted in SCHOTT TIE-19.
     """
-    square = (wavelength_nm * 1e-3) ** 2
-    refractivity = 1e-8 * (
-        6432.8
-        + 2_949_810.0 * square / (146.0 * square - 1.0)
-        + 25_540.0 * square / (41.0 * square - 1.0)
-    )
-    return 1.0 + refractivity / (1.0 + 3.4785e-3 * (temperature_c - 15.0))
+    s = (wavelength_nm * 1e-3) ** 2
+    sum_of_poles = 6432.8 + 2_949_810.0 * s / (146.0 * s - 1.0) + 25_540.0 * s / (41.0 * s - 1.0)
+    return 1.0 + 1e-8 * sum_of_poles / (1.0 + 3.4785e-3 * (temperature_c - 15.0))
 
 
 def index_of(data: Glass, um: float) -> float:

@@ -91,12 +91,9 @@ class Goal:
         """Air as long, for paraxial rays, as from the front of the cover to the sensor."""
         if self.cover is None:
             return 0.0
-        indices = [
-            refractive_index(glass, self.wavelength_nm, self.temperature_c)
-            for glass in self.cover.glass
-        ]
-        paths = (t / n for t, n in zip(self.cover.thickness_mm, indices, strict=True))
-        return sum(paths) + self.cover_mm
+        light = (self.wavelength_nm, self.temperature_c)
+        parts = zip(self.cover.thickness_mm, self.cover.glass, strict=True)
+        return sum(t / refractive_index(glass, *light) for t, glass in parts) + self.cover_mm
 
     @property
     def least_back_mm(self) -> float:

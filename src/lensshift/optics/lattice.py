@@ -81,7 +81,9 @@ def lattice_images(
                 spot = spots(lens, field, build=build, rings=_RAY_RINGS)
                 images.append(_image_of_rays(spot, step_mm, band_lpmm))
             else:
-                images.append(_image_of_waves(lens, pupil, step_mm, band_lpmm))
+                count = _counts(np.full(2, _reach_mm(lens, pupil)), step_mm)
+                otf = _wave_otf(pupil, 1e-6 * lens.wavelength_nm, count, step_mm)
+                images.append(_image(otf, count, band_lpmm * step_mm))
     return images
 
 
@@ -93,14 +95,6 @@ def _reach_mm(lens: Lens, pupil: PupilFit) -> float:
 def _samples(lens: Lens, pupil: PupilFit) -> float:
     """Return how many samples across the pupil keep copies of the image apart."""
     return 4.0 * pupil.span * _reach_mm(lens, pupil) / (1e-6 * lens.wavelength_nm)
-
-
-def _image_of_waves(
-    lens: Lens, pupil: PupilFit, step_mm: Floats, band_lpmm: Floats
-) -> LatticeImage:
-    count = _counts(np.full(2, _reach_mm(lens, pupil)), step_mm)
-    otf = _wave_otf(pupil, 1e-6 * lens.wavelength_nm, count, step_mm)
-    return _image(otf, count, band_lpmm * step_mm)
 
 
 def _image_of_rays(spot: Spots, step_mm: Floats, band_lpmm: Floats) -> LatticeImage:

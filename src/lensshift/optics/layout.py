@@ -142,9 +142,8 @@ def _surfaces(lens: Lens, crossing_mm: Floats, along: int) -> tuple[tuple[Polyli
                 met_mm = crossing_mm[..., number, along] - one.decenter_mm[along]
                 edge_mm = _ROOM * float(np.nanmax(np.abs(met_mm), initial=1e-3))
             height_mm = np.linspace(-edge_mm, edge_mm, _SURFACE_POINTS)
-            sag_mm, height_mm = _turned(
-                surface.sag_mm(height_mm), height_mm, surface.tilt_rad[along]
-            )
+            sag_mm = surface.sag_mm(height_mm)
+            sag_mm, height_mm = _turned(sag_mm, height_mm, surface.tilt_rad[along])
             z_mm, height_mm = _turned(depth_mm + sag_mm, height_mm, one.tilt_rad[along])
             lines.append(Polyline(start_mm + z_mm, one.decenter_mm[along] + height_mm))
             number += 1

@@ -151,15 +151,9 @@ def shift_uniformity(field: ShiftField, wanted_px: ArrayLike) -> tuple[ShiftUnif
             f"expected wanted_px of {(len(field.offset_px), 2)}, got shape {wanted.shape}"
         )
     error = np.linalg.norm(field.offset_px - wanted[:, None, None, :], axis=-1)
-    mean = field.offset_px.mean(axis=(1, 2))
-    return tuple(
-        ShiftUniformity(
-            max_error_px=float(one.max()),
-            rms_error_px=float(np.sqrt(np.mean(one**2))),
-            mean_px=(float(row), float(col)),
-        )
-        for one, (row, col) in zip(error, mean, strict=True)
-    )
+    rms, mean = np.sqrt(np.mean(error**2, axis=(1, 2))), field.offset_px.mean(axis=(1, 2))
+    of_frames = zip(error.max(axis=(1, 2)).tolist(), rms.tolist(), mean.tolist(), strict=True)
+    return tuple(ShiftUniformity(most, of, (row, col)) for most, of, (row, col) in of_frames)
 
 
 def largest_error_px(

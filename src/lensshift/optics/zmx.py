@@ -136,15 +136,12 @@ def _read_line(content: _File, words: list[str], line: int) -> None:
         content.primary = int(values[0])
     elif key == "ENVD":
         _read_surroundings(content, values)
-    elif key == "FLOA":
+    elif key == "FLOA" or (key == "ENPD" and float(values[0]) == 0):  # the latter: none is set
         content.aperture = ("FLOA", 0.0)
     elif key in _LEFT_OUT and values[:1] == ["1"]:
         content.notes.append(f"{_LEFT_OUT[key]} is left out")
     elif key in ("ENPD", "FNUM", "OBNA"):
         value = float(values[0])
-        if key == "ENPD" and value == 0:
-            content.aperture = ("FLOA", 0.0)  # none is set: the stop is as wide as its surface
-            return
         if not value > 0:
             raise DataError(f"expected a positive {key}, got {values[0]}", field=f"line {line}")
         other = values[1:2] == ["1"]  # than what the key says first
