@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum, auto
 from statistics import median
 from typing import Any
@@ -95,11 +95,7 @@ class AptAxis:
         """Return model, serial number, firmware and scale, and how good the line has been."""
         return {
             "port": self.port,
-            "model": self.info.model,
-            "serial_number": self.info.serial_number,
-            "firmware": self.info.firmware,
-            "notes": self.info.notes,
-            "stage_id": self.info.stage_id,
+            **asdict(self.info),
             "counts_per_mm": self._counts_per_mm,
             "homed": self.homed,
             "resyncs": self._cube.link.resyncs,

@@ -24,35 +24,20 @@ SHAPE = (16, 64)  # of the only sensor there is
 _INVALID, _LOW_SIGNAL = 1, 4096  # bits of the confidence
 
 MODES = {
-    0x12: "initialising",
-    0x15: "booting",
-    0x21: "limited run",
-    0x22: "run",
-    0x31: "emergency",
-}
+    0x12: "initialising", 0x15: "booting", 0x21: "limited run", 0x22: "run", 0x31: "emergency",
+}  # fmt: skip
 RUN_MODE = 0x22  # the only one in which it measures
 
 _MAGIC = b"O3M!"
 _MAGIC_BYTES = 12  # magic, name, major, minor, two bytes of padding
 _SIZES = {(1, 0): 18900, (1, 1): 19036, (1, 2): 19044, (1, 3): 19224, (1, 4): 19224}
-_PIXELS = np.dtype(
-    [
-        ("width", "<u2"),
-        ("height", "<u2"),
-        ("distance_cm", "<u2", SHAPE),
-        ("x_m", "<f4", SHAPE),
-        ("y_m", "<f4", SHAPE),
-        ("z_m", "<f4", SHAPE),
-        ("confidence", "<u2", SHAPE),
-        ("amplitude", "<u2", SHAPE),
-        ("normalization", "<f4", (4,)),
-        ("timestamp_us", "<u4"),
-        ("frame_counter", "<u4"),
-        ("available", "<u4"),
-        ("calibration", "<f4", (6,)),
-        ("field_of_view", "<f4", (4, 3)),
-    ]
-)
+_PIXELS = np.dtype([
+    ("width", "<u2"), ("height", "<u2"), ("distance_cm", "<u2", SHAPE),
+    ("x_m", "<f4", SHAPE), ("y_m", "<f4", SHAPE), ("z_m", "<f4", SHAPE),
+    ("confidence", "<u2", SHAPE), ("amplitude", "<u2", SHAPE), ("normalization", "<f4", (4,)),
+    ("timestamp_us", "<u4"), ("frame_counter", "<u4"), ("available", "<u4"),
+    ("calibration", "<f4", (6,)), ("field_of_view", "<f4", (4, 3)),
+])  # fmt: skip
 _COARSE_M = 0.01  # step of `distance_cm`
 
 _DIAGNOSIS = struct.Struct(">12x f 132x f B")  # temperatures of board and light, mode

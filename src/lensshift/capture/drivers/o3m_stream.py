@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -243,9 +244,7 @@ class O3MStream:
                 known[name] = image.raw[name].astype(np.float64).tolist()
             known["coarse_pixels"] = image.coarse_pixels
         if diagnosis is not None:
-            known["main_celsius"] = diagnosis.main_celsius
-            known["light_celsius"] = diagnosis.light_celsius
-            known["mode"] = diagnosis.mode_name
+            known |= asdict(diagnosis) | {"mode": diagnosis.mode_name}
         if self.parameters:
             known["parameters_hex"] = self.parameters.hex()
         return known

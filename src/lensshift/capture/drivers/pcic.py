@@ -226,10 +226,8 @@ class PcicCamera(ReceivingCamera):
 
     def describe(self) -> Mapping[str, Any]:
         """Return what to keep beside the frames: address and what the camera told."""
-        known: dict[str, Any] = {
-            "model": "ifm, PCIC",
-            "address": f"{self._address[0]}:{self._address[1]}",
-        }
+        host, port = self._address
+        known: dict[str, Any] = {"model": "ifm, PCIC", "address": f"{host}:{port}"}
         if self._schema is not None:
             known["schema"] = self._schema
         info = None if self._image is None else self._image.info

@@ -87,19 +87,11 @@ def pixel_message(
     distance_m = np.where(valid, seen_m, 0.01)  # invalid: 1 cm
     coarse_cm = np.maximum(np.rint(distance_m * 100.0), 0)
     place_m = np.asarray(_CAMERA_M)[:, None, None] + _directions() * distance_m
-    body = b"".join(
-        [
-            struct.pack("<HH", COLS, ROWS),
-            coarse_cm.astype("<u2").tobytes(),
-            place_m.astype("<f4").tobytes(),
-            confidence.astype("<u2").tobytes(),
-            counts.astype("<u2").tobytes(),
-            factors.tobytes(),
-            struct.pack("<III", timestamp_us % 2**32, 0, 0),
-            struct.pack("<6f", *_CAMERA_M, 0.0, 0.0, 0.0),
-            _directions()[:, [0, 0, -1, -1], [0, -1, 0, -1]].T.astype("<f4").tobytes(),
-        ]
-    )
+    pixels = (coarse_cm, "<u2"), (place_m, "<f4"), (confidence, "<u2"), (counts, "<u2")
+    body = struct.pack("<HH", COLS, ROWS)
+    body += b"".join(values.astype(kind).tobytes() for values, kind in pixels) + factors.tobytes()
+    body += struct.pack("<III6f", timestamp_us % 2**32, 0, 0, *_CAMERA_M, 0.0, 0.0, 0.0)
+    body += _directions()[:, [0, 0, -1, -1], [0, -1, 0, -1]].T.astype("<f4").tobytes()
     major, minor = (int(part) for part in layout.split("."))
     magic = b"" if layout == "1.0" else b"O3M!DIA1" + bytes([major, minor, 0, 0])
     return (magic + body).ljust(LAYOUTS[layout], b"\0")
