@@ -137,11 +137,9 @@ def _entry(number: int, surface: Any, wavelength_um: float) -> Entry:
     entry = Entry(number)
     shape = type(surface.geometry).__name__
     if shape not in _SHAPES:
-        raise DataError(
-            f"expected a surface of {', '.join(_SHAPES)}, got {shape}", field=entry.where()
-        )
+        raise entry.wrong(f"expected a surface of {', '.join(_SHAPES)}, got {shape}")
     if getattr(surface.interaction_model, "is_reflective", False):
-        raise DataError("expected lenses, got a mirror", field=entry.where())
+        raise entry.wrong("expected lenses, got a mirror")
     entry.type = _SHAPES[shape]
     radius_mm = float(np.asarray(surface.geometry.radius).item())
     entry.curvature_per_mm = 0.0 if math.isinf(radius_mm) else 1.0 / radius_mm
@@ -171,9 +169,8 @@ def _glass(material: Any, wavelength_um: float, entry: Entry) -> str:
     for known in GLASSES:
         if abs(refractive_index(known, 1e3 * wavelength_um) - index) < _SAME_INDEX:
             return known
-    raise DataError(
-        f"expected a glass of {', '.join(GLASSES)}, got {name or 'one'} of index {index:.6f}",
-        field=entry.where(),
+    raise entry.wrong(
+        f"expected a glass of {', '.join(GLASSES)}, got {name or 'one'} of index {index:.6f}"
     )
 
 

@@ -50,6 +50,10 @@ class Entry:
         """Return how messages name the surface."""
         return f"surface {self.number}" + (f", line {self.line}" if self.line else "")
 
+    def wrong(self, problem: str) -> DataError:
+        """Return the error that says what is wrong with the surface."""
+        return DataError(problem, field=self.where())
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
@@ -129,11 +133,10 @@ def _check_image(image: Frame, entry: Entry, elements: list[Element], notes: lis
     centred = not any(any((*one.decenter_mm, *one.tilt_rad)) for one in elements)
     if away.max() > _CLOSE or (aside_mm > _CLOSE and not centred):
         turned_deg = math.degrees(math.acos(min(1.0, abs(float(image.axes[2, 2])))))
-        raise DataError(
+        raise entry.wrong(
             "expected an image plane centred on and across the axis of the object, got one "
             f"{aside_mm:.4g} mm aside and {turned_deg:.4g} degrees turned: light that leaves the "
-            "axis, as by a part of a mirror beside its own axis, is not traced",
-            field=entry.where(),
+            "axis, as by a part of a mirror beside its own axis, is not traced"
         )
     if aside_mm > _CLOSE:  # fields beside the axis of a centred lens
         notes.append(f"the image lies {aside_mm:.4g} mm aside: taken on the axis of the lens")
@@ -145,9 +148,8 @@ def _clear_edges(
     """Clip neighbours whose edges cross; refuse those that cross on the axis."""
     for number, gap_mm in enumerate(gaps_mm[:-1]):
         if gap_mm < 0:
-            raise DataError(
-                f"expected the next element behind it, got {gap_mm:g} mm of air",
-                field=last[number].where(),
+            raise last[number].wrong(
+                f"expected the next element behind it, got {gap_mm:g} mm of air"
             )
         front, back = elements[number : number + 2]
         near, far = trimmed(front.surfaces[-1], back.surfaces[0], float(gap_mm), None, notes)
@@ -247,7 +249,7 @@ def _groups(entries: list[Entry]) -> Iterable[list[int]]:
             continue  # in glass: the surface behind it leans
         if number == 0:
             if entry.glass:
-                raise DataError("expected an object in air", field=entry.where())
+                raise entry.wrong("expected an object in air")
             continue
         if entry.mirror and group:  # behind it light is in the same glass again
             entry.glass = entries[group[-1]].glass
@@ -260,9 +262,7 @@ def _groups(entries: list[Entry]) -> Iterable[list[int]]:
             yield group
             group = []
     if group:
-        raise DataError(
-            "expected air in front of the image: is the file cut off?", field=entries[-1].where()
-        )
+        raise entries[-1].wrong("expected air in front of the image: is the file cut off?")
 
 
 def _element(entries: list[Entry], frames: list[Frame], notes: list[str]) -> Element:
@@ -309,9 +309,7 @@ def _axis(entries: list[Entry], frames: list[Frame]) -> tuple[Floats, list[float
     if not mirrors and max(np.abs(normals - axis).max(), aside_mm) >= _CLOSE:
         axis = from_first[-1] / np.linalg.norm(from_first[-1])
         if np.abs(from_first - np.outer(from_first @ axis, axis)).max() > _CLOSE:
-            raise DataError(
-                "expected the vertices of an element on one line", field=entries[0].where()
-            )
+            raise entries[0].wrong("expected the vertices of an element on one line")
     apart_mm = np.diff(from_first @ axis)
     return axis, ahead, [
         math.copysign(written.distance_mm, length)  # to the last digit, where it is the same

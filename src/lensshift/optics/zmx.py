@@ -177,9 +177,8 @@ def _read_surface_line(
         number = int(values[0])
         known = 0 <= number <= MOST_PARAMETERS or not is_traced(entry.type)
         if key == "PARM" and not known and float(values[1]):
-            raise DataError(
-                f"line {line}: expected a parameter up to {MOST_PARAMETERS}, got {number}",
-                field=entry.where(),
+            raise entry.wrong(
+                f"line {line}: expected a parameter up to {MOST_PARAMETERS}, got {number}"
             )
         table = entry.parameters if key == "PARM" else entry.extra
         table[number] = _finite(values[1])
@@ -199,10 +198,9 @@ def _read_surface_line(
     elif key in ("SQAP", "ELAP", "OBSC", "SQOB", "ELOB", "SPID", "UDAP"):
         content.notes.append(f"surface {entry.number}: aperture {key} is left out")
     elif key == "SCBD" and any(map(float, values[3:])):
-        content.turned = content.turned or DataError(
+        content.turned = content.turned or entry.wrong(
             f"line {line}: expected a coordinate break, got a tilt or decentre as a property of "
-            "the surface",
-            field=entry.where(),
+            "the surface"
         )
     elif key == "COMM":
         entry.comment = " ".join(values)
@@ -250,10 +248,9 @@ def _glass(
     if 1.2 < index < 4.5 and 5.0 < abbe < 150.0 and (index, abbe) != _DEFAULT_GLASS:
         note = f"taken from its index {index:g} and Abbe number {abbe:g}"
         return model_glass(index, abbe), note
-    raise DataError(
+    raise entry.wrong(
         f"line {line}: expected a known glass, got {name}: load the catalogue of its maker, "
-        "`lensshift lens convert LENS.zmx LENS.toml --glass-catalogue MAKER.agf`",
-        field=entry.where(),
+        "`lensshift lens convert LENS.zmx LENS.toml --glass-catalogue MAKER.agf`"
     )
 
 
@@ -346,9 +343,7 @@ def _frames(entries: list[Entry]) -> list[Frame]:
         if math.isfinite(entry.distance_mm):
             origin = origin + axes[:, 2] * entry.distance_mm
         elif entry is not entries[0] and entry is not entries[-1]:
-            raise DataError(
-                f"expected a finite distance, got {entry.distance_mm}", field=entry.where()
-            )
+            raise entry.wrong(f"expected a finite distance, got {entry.distance_mm}")
     return frames
 
 

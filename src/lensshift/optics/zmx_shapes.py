@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from lensshift.core.errors import DataError, about
+from lensshift.core.errors import about
 from lensshift.optics.forbes import forbes_terms
 from lensshift.optics.sequential import Entry
 
@@ -71,10 +71,9 @@ def shape(entry: Entry, mm: float) -> None:
     elif entry.type != "STANDARD":
         told = (why for names, why in _REASONS.items() if re.search(names, entry.type))
         reason = next(told, "whose shape is not known here")
-        raise DataError(
+        raise entry.wrong(
             f"line {entry.line_of_type}: expected a surface of type {', '.join(_KNOWN)}, got "
-            f"{entry.type}, {reason}",
-            field=entry.where(),
+            f"{entry.type}, {reason}"
         )
 
 
@@ -82,7 +81,7 @@ def _series(entry: Entry, mm: float, at: int) -> tuple[list[float], float]:
     """Return the terms whose number is written at a place of the extra data, and their radius."""
     count, unit_mm = int(entry.extra.get(at, 0.0)), mm * entry.extra.get(at + 1, 1.0)
     if not (0 <= count <= _MOST_TERMS and unit_mm > 0):
-        raise DataError("expected terms and a radius above 0", field=entry.where())
+        raise entry.wrong("expected terms and a radius above 0")
     return [mm * entry.extra.get(at + 1 + i, 0.0) for i in range(1, count + 1)], unit_mm
 
 
