@@ -127,7 +127,21 @@ class TracedFrames:
 
     def otf(self, field: int) -> Callable[[Floats], NDArray[np.complex128]]:
         """Return the OTF [frame ...] of a field at frequencies [... 2] in cycles per pixel."""
-        return _SpotOtf(self.lens, self.ray_px[:, field], self.weight[:, field], self.pitch_mm)
+        spots_px = list(zip(self.ray_px[:, field], self.weight[:, field], strict=True))
+        known: dict[bytes, NDArray[np.complex128]] = {}  # one for all that is asked of a field
+
+        def otf(frequency: Floats) -> NDArray[np.complex128]:
+            if (key := frequency.tobytes()) not in known:
+                spot = [
+                    np.exp(-2j * np.pi * (frequency @ ray.T)) @ weight for ray, weight in spots_px
+                ]
+                lpmm = np.linalg.norm(frequency / self.pitch_mm, axis=-1)
+                rising = np.linspace(0.0, max(lpmm.max(), 1.0), _LIMIT_STEPS)
+                limit = np.interp(lpmm, rising, diffraction_limit(self.lens, rising).modulation)
+                known[key] = np.asarray(spot) * limit
+            return known[key]
+
+        return otf
 
 
 def traced_frames(lens: Lens, element: int, grid: Grid, pattern_px: ArrayLike) -> TracedFrames:
@@ -151,27 +165,6 @@ def traced_frames(lens: Lens, element: int, grid: Grid, pattern_px: ArrayLike) -
         lens=lens,
         pitch_mm=pitch_mm,
     )
-
-
-class _SpotOtf:
-    """OTF of spots [frame ray 2] in pixels times the diffraction limit, made once."""
-
-    def __init__(self, lens: Lens, ray_px: Floats, weight: Floats, pitch_mm: Floats) -> None:
-        self.lens, self.ray_px, self.weight, self.pitch_mm = lens, ray_px, weight, pitch_mm
-        self.at: Floats = np.empty(0)
-        self.found: NDArray[np.complex128] = np.empty(0, dtype=np.complex128)
-
-    def __call__(self, frequency: Floats) -> NDArray[np.complex128]:
-        if not np.array_equal(self.at, frequency):
-            spot = [
-                np.exp(-2j * np.pi * (frequency @ ray_px.T)) @ weight
-                for ray_px, weight in zip(self.ray_px, self.weight, strict=True)
-            ]
-            lpmm = np.linalg.norm(frequency / self.pitch_mm, axis=-1)
-            rising = np.linspace(0.0, max(lpmm.max(), 1.0), _LIMIT_STEPS)
-            limit = np.interp(lpmm, rising, diffraction_limit(self.lens, rising).modulation)
-            self.at, self.found = frequency, np.asarray(spot) * limit
-        return self.found
 
 
 def linear_rmse(

@@ -90,10 +90,8 @@ def point_spread(
     fine_mm = min(fine_mm, step_mm or fine_mm)
     half = int(np.ceil(0.5 * side_mm / fine_mm)) + 1
     at_mm = fine_mm * np.arange(-half, half + 1, dtype=np.float64)
-    total = np.zeros((at_mm.size, at_mm.size))
-    for share, wave_mm, pupil in light:
-        total += share * _intensity(pupil, wave_mm, at_mm)
-    return PointImage(total, fine_mm)
+    parts = [share * _intensity(pupil, wave_mm, at_mm) for share, wave_mm, pupil in light]
+    return PointImage(np.sum(parts, axis=0), fine_mm)
 
 
 def ensquared_energy(

@@ -300,13 +300,13 @@ class _Bench:
 
     def _refocus(self, rays: RayBundle) -> Floats:
         """Return where the least MTF over positions and fields [build ...] is largest, [build]."""
-        planes = 1 + 2 * math.ceil(self.refocus_mm / _COARSE_MM)
-        start_mm = np.full(rays.status.shape[:1], -_COARSE_MM * (planes // 2))
-        least = self._scan(rays, start_mm[:, None, None], _COARSE_MM, planes).min(axis=(1, 2, 3))
-        start_mm += _COARSE_MM * (least.argmax(axis=-1) - 1)
-        planes = 1 + 2 * round(_COARSE_MM / _FINE_MM)
-        least = self._scan(rays, start_mm[:, None, None], _FINE_MM, planes).min(axis=(1, 2, 3))
-        return np.asarray(start_mm + _FINE_MM * least.argmax(axis=-1))
+        best_mm = np.zeros(rays.status.shape[:1])
+        coarse, fine = math.ceil(self.refocus_mm / _COARSE_MM), round(_COARSE_MM / _FINE_MM)
+        for step_mm, steps in ((_COARSE_MM, coarse), (_FINE_MM, fine)):  # to either side
+            first_mm = best_mm - step_mm * steps
+            mtf = self._scan(rays, first_mm[:, None, None], step_mm, 1 + 2 * steps)
+            best_mm = first_mm + step_mm * mtf.min(axis=(1, 2, 3)).argmax(axis=-1)
+        return best_mm
 
     def _scan(self, rays: RayBundle, first_mm: Floats, step_mm: float, planes: int) -> Floats:
         return scan_focus(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -132,8 +133,7 @@ def judged_lpmm(grid: Grid, frequency_lpmm: float | None = None) -> float:
 def edge_fields(lens: Lens, grid: Grid) -> Floats:
     """Return the fields [9 2] at the centre, the ends of the axes and the corners of a sensor."""
     half_mm = 0.5 * np.asarray(grid.shape) * np.asarray(grid.pitch_mm)
-    signs = np.stack(np.meshgrid([0.0, 1.0, -1.0], [0.0, 1.0, -1.0], indexing="ij"), axis=-1)
-    return fields_for_image(lens, signs.reshape(-1, 2) * half_mm)
+    return fields_for_image(lens, np.array(list(product((0.0, 1.0, -1.0), repeat=2))) * half_mm)
 
 
 def edge_mtf(
