@@ -106,11 +106,8 @@ class AptCube:
             )
             if kept == wanted:
                 return
-        raise DeviceError(
-            f"wrote {wanted}, reads back {kept}",
-            device=self.link.device,
-            command=f"set {name} parameters",
-        )
+        problem = f"wrote {wanted}, reads back {kept}"
+        raise self.link.error(problem, f"set {name} parameters")
 
     def stand_still(self) -> None:
         """Say stop until two replies in a row say that the motor stands, for a while at most."""
@@ -123,10 +120,8 @@ class AptCube:
             time.sleep(_POLL_S)
 
     def _contradiction(self) -> DeviceError:
-        return DeviceError(
-            "its replies contradict each other (cable? two programs at one port?)",
-            device=self.link.device,
-        )
+        problem = "its replies contradict each other (cable? two programs at one port?)"
+        return DeviceError(problem, device=self.link.device)
 
 
 def _possible_status(reply: Message) -> Status:

@@ -98,13 +98,16 @@ class AptLink:
                     with suppress(DamagedMessage):
                         return read(reply)
         garbled = self._bytes > before[0] and self.heard.total() == before[1]
-        raise DeviceTimeout(
-            "bytes come, but no APT messages (another device, or another baud rate?)"
-            if garbled
-            else "no answer (switched off, or no APT controller at this port?)",
-            device=self.device,
-            command=f"request {messages[-1].id:#06x}",
-        )
+        problem = "no answer (switched off, or no APT controller at this port?)"
+        if garbled:
+            problem = "bytes come, but no APT messages (another device, or another baud rate?)"
+        raise self.error(problem, f"request {messages[-1].id:#06x}", DeviceTimeout)
+
+    def error(
+        self, problem: str, command: str = "", kind: type[DeviceError] = DeviceError
+    ) -> DeviceError:
+        """Return an error that names the device."""
+        return kind(problem, device=self.device, command=command)
 
     def close(self) -> None:
         """Let go of the port."""
@@ -148,13 +151,12 @@ class AptLink:
     def _use(self, action: Callable[[], Any]) -> Any:
         """Use the port, and turn its errors into one that says what to look at."""
         if not self._alive:
-            raise DeviceError("connection lost (cable?)", device=self.device)
+            raise self.error("connection lost (cable?)")
         try:
             return action()
         except serial.SerialTimeoutException as error:
-            raise DeviceTimeout(
-                "the port takes no bytes (no APT controller at this port?)", device=self.device
-            ) from error
+            problem = "the port takes no bytes (no APT controller at this port?)"
+            raise self.error(problem, kind=DeviceTimeout) from error
         except OSError as error:
             self._alive = False
-            raise DeviceError(f"connection lost (cable?): {error}", device=self.device) from error
+            raise self.error(f"connection lost (cable?): {error}") from error

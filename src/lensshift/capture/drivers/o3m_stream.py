@@ -8,17 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lensshift.capture.drivers.o3m_layout import (
-    CHANNELS,
-    DIAGNOSIS_CHANNEL,
-    PARAMETER_CHANNEL,
-    PIXEL_CHANNEL,
-    RUN_MODE,
-    O3MDiagnosis,
-    O3MImage,
-    read_diagnosis,
-    read_image,
-)
+from lensshift.capture.drivers import o3m_layout as o3m
 from lensshift.capture.drivers.o3m_packets import QUIET_S, ChannelMessage, Reassembler, read_header
 from lensshift.capture.drivers.receiver import counter_steps
 from lensshift.capture.rig import CameraFrame
@@ -51,9 +41,9 @@ class O3MStream:
         self.source = source
         self._datagrams = 0
         self._counts: Counter[str] = Counter()  # by the names of `totals`
-        self.diagnosis: O3MDiagnosis | None = None
+        self.diagnosis: o3m.O3MDiagnosis | None = None
         self.parameters = b""
-        self.image: O3MImage | None = None
+        self.image: o3m.O3MImage | None = None
         self._senders: dict[Address, Reassembler] = {}
         self._heard_s: dict[Address, float] = {}
         self._chosen: Address | None = None
@@ -78,7 +68,7 @@ class O3MStream:
     def newest_cycle(self) -> int:
         """Return the unwrapped counter of the newest image that has begun to arrive, or -1."""
         sender = None if self._chosen is None else self._senders.get(self._chosen)
-        return -1 if sender is None else sender.newest_cycle(PIXEL_CHANNEL)
+        return -1 if sender is None else sender.newest_cycle(o3m.PIXEL_CHANNEL)
 
     def push(
         self, datagram: bytes | bytearray | memoryview, address: Address, arrived_s: float
@@ -102,9 +92,9 @@ class O3MStream:
         if header is None or not wanted:
             return None
         sender = self._sender(address, arrived_s)
-        restarts = sender.restarts(PIXEL_CHANNEL)
+        restarts = sender.restarts(o3m.PIXEL_CHANNEL)
         message = sender.push(header, datagram, arrived_s)
-        if address == self._chosen and sender.restarts(PIXEL_CHANNEL) != restarts:
+        if address == self._chosen and sender.restarts(o3m.PIXEL_CHANNEL) != restarts:
             raise DeviceError(
                 "the camera has started anew: its cycle counter jumped back to "
                 f"{header.cycle_counter}"
@@ -116,7 +106,7 @@ class O3MStream:
         camera = self._chosen
         if camera is None or address == camera:
             return True
-        return channel != PIXEL_CHANNEL and address[0] == camera[0]
+        return channel != o3m.PIXEL_CHANNEL and address[0] == camera[0]
 
     def _sender(self, address: Address, arrived_s: float) -> Reassembler:
         if address not in self._senders:
@@ -124,7 +114,7 @@ class O3MStream:
                 others = (one for one in self._senders if one != self._chosen)
                 idle = min(others, key=self._heard_s.__getitem__)
                 del self._senders[idle], self._heard_s[idle]
-            self._senders[address] = Reassembler(CHANNELS)
+            self._senders[address] = Reassembler(o3m.CHANNELS)
         self._heard_s[address] = arrived_s
         return self._senders[address]
 
@@ -133,15 +123,15 @@ class O3MStream:
     ) -> CameraFrame | None:
         """Read a whole message."""
         try:
-            if message.channel == PIXEL_CHANNEL:
-                image = read_image(message.content)
+            if message.channel == o3m.PIXEL_CHANNEL:
+                image = o3m.read_image(message.content)
                 if not self._choose(address, arrived_s):
                     return None
                 return self._frame(image, message.cycle, arrived_s)
             if self._is_camera(address, message.channel):
-                if message.channel == DIAGNOSIS_CHANNEL:
-                    self.diagnosis = read_diagnosis(message.content)
-                elif message.channel == PARAMETER_CHANNEL:
+                if message.channel == o3m.DIAGNOSIS_CHANNEL:
+                    self.diagnosis = o3m.read_diagnosis(message.content)
+                elif message.channel == o3m.PARAMETER_CHANNEL:
                     self.parameters = message.content
                 self._informant = address[0]
         except DataError as error:
@@ -170,7 +160,7 @@ class O3MStream:
             )
         return True
 
-    def _frame(self, image: O3MImage, cycle: int, arrived_s: float) -> CameraFrame:
+    def _frame(self, image: o3m.O3MImage, cycle: int, arrived_s: float) -> CameraFrame:
         if self.image is None:
             self._time_us = image.timestamp_us
         else:
@@ -212,11 +202,11 @@ class O3MStream:
                 f" ({self._wrong})" if self._wrong else ""
             )
         seen = [one for one, n in dict(self._channels).items() if n > channels.get(one, 0)]
-        if PIXEL_CHANNEL not in seen:
+        if o3m.PIXEL_CHANNEL not in seen:
             return (
                 f"channel {', '.join(map(str, sorted(seen)))} arrives, but not channel "
-                f"{PIXEL_CHANNEL} with the pixels{self._mode()}; choose pixel data in the camera's "
-                "Ethernet settings"
+                f"{o3m.PIXEL_CHANNEL} with the pixels{self._mode()}; choose pixel data in the "
+                "camera's Ethernet settings"
             )
         sent = max(1, came["packets"] + came["lost_packets"])
         return (
@@ -226,7 +216,7 @@ class O3MStream:
         )
 
     def _mode(self) -> str:
-        if self.diagnosis is None or self.diagnosis.mode == RUN_MODE:
+        if self.diagnosis is None or self.diagnosis.mode == o3m.RUN_MODE:
             return ""
         return f" (the camera is in mode: {self.diagnosis.mode_name})"
 

@@ -10,14 +10,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
-from lensshift.capture.drivers.pcic_protocol import (
-    RESULT_TICKET,
-    Message,
-    PcicImage,
-    PcicParser,
-    read_result,
-    write_message,
-)
+from lensshift.capture.drivers import pcic_protocol as pcic
 from lensshift.capture.drivers.receiver import LOOK_S, ReceivingCamera, counter_steps
 from lensshift.capture.rig import CameraFrame
 from lensshift.core.errors import DataError, DeviceTimeout
@@ -51,13 +44,13 @@ class PcicCamera(ReceivingCamera):
         self._reset()
 
     def _reset(self) -> None:
-        self._parser = PcicParser()
+        self._parser = pcic.PcicParser()
         self._lock = threading.RLock()  # entered itself, as in `Receiver`
         self._changed = threading.Condition(self._lock)
         self._answers: dict[bytes, bytes] = {}
         self._ticket = 1000
         self._grid: Grid | None = None
-        self._image: PcicImage | None = None
+        self._image: pcic.PcicImage | None = None
         self._newest = -1
         self._raw_count = 0
         self._time_us = 0
@@ -96,28 +89,24 @@ class PcicCamera(ReceivingCamera):
             if not opened:
                 self.close()
 
-    def _command(self, command: bytes) -> bytes:
-        """Send a command and return its answer; raise if the camera refuses it."""
+    def _command(self, command: bytes) -> None:
+        """Send a command and wait for its answer; raise if the camera refuses it."""
         what = command[:20].decode("ascii", "replace")
         with self._lock:
             self._ticket += 1
             ticket = b"%04d" % self._ticket
-        self._send(write_message(ticket, command), what)
+        if self._socket is None:
+            raise self._error("not open: call open() first")
+        try:
+            self._socket.sendall(pcic.write_message(ticket, command))
+        except OSError as error:
+            raise self._error(f"the connection is lost: {error}", what) from error
         with self._lock:
             if not self._changed.wait_for(lambda: ticket in self._answers, self._timeout_s):
                 raise self._error(f"no answer in {self._timeout_s:g} s", what, DeviceTimeout)
             answer = self._answers.pop(ticket)
         if answer[:1] in (b"!", b"?"):
             raise self._error(f"refused with {answer!r}", what)
-        return answer
-
-    def _send(self, data: bytes, what: str) -> None:
-        if self._socket is None:
-            raise self._error("not open: call open() first")
-        try:
-            self._socket.sendall(data)
-        except OSError as error:
-            raise self._error(f"the connection is lost: {error}", what) from error
 
     def _receive(self, stop: threading.Event) -> None:
         connection, parser = self._socket, self._parser
@@ -144,23 +133,23 @@ class PcicCamera(ReceivingCamera):
             self._newest += max(0, counter_steps(count, self._raw_count))
             self._raw_count = count
 
-    def _take(self, message: Message) -> None:
-        if message.ticket != RESULT_TICKET:
-            self._bytes -= len(write_message(*message))
+    def _take(self, message: pcic.Message) -> None:
+        if message.ticket != pcic.RESULT_TICKET:
+            self._bytes -= len(pcic.write_message(*message))
             with self._lock:
                 if len(self._answers) < 16:  # nobody waits for more
                     self._answers[message.ticket] = message.content
                 self._changed.notify_all()
             return
         try:
-            image = read_result(message.content)
+            image = pcic.read_result(message.content)
         except DataError as error:
             self._wrong += 1
             self._problem = str(error)
             return
         self._put(image)
 
-    def _put(self, image: PcicImage) -> None:
+    def _put(self, image: pcic.PcicImage) -> None:
         rows, cols = image.amplitude.shape
         if self._grid is not None and self._grid.shape != (rows, cols):
             self._wrong += 1
@@ -219,7 +208,7 @@ class PcicCamera(ReceivingCamera):
         if self._socket is None:
             return
         with suppress(OSError):  # it may be gone already
-            self._socket.sendall(write_message(b"9999", b"p0"))
+            self._socket.sendall(pcic.write_message(b"9999", b"p0"))
         super().close()
         self._socket.close()
         self._socket = None

@@ -157,18 +157,17 @@ class Chunk:
     def image(self) -> Array:
         """Return the pixels [row col] or [row col 3]; DataError if there are none such."""
         if self.pixel_format not in _FORMATS:
-            raise DataError(
-                f"expected a known pixel format, got {self.pixel_format}",
-                field=f"chunk {self.kind}",
-            )
+            raise _of_chunk(self.kind, f"expected a known pixel format, got {self.pixel_format}")
         pixel = _FORMATS[self.pixel_format]
         count = self.shape[0] * self.shape[1]
         if not 0 < count * pixel.itemsize <= len(self.data):
-            raise DataError(
-                f"{len(self.data)} bytes do not hold {self.shape[1]} x {self.shape[0]} pixels",
-                field=f"chunk {self.kind}",
-            )
+            pixels = f"{self.shape[1]} x {self.shape[0]} pixels"
+            raise _of_chunk(self.kind, f"{len(self.data)} bytes do not hold {pixels}")
         return np.frombuffer(self.data, pixel, count).reshape(self.shape + pixel.shape)
+
+
+def _of_chunk(kind: int, problem: str) -> DataError:
+    return DataError(problem, field=f"chunk {kind}")
 
 
 def read_chunks(content: bytes) -> list[Chunk]:
@@ -191,10 +190,7 @@ def read_chunks(content: bytes) -> list[Chunk]:
 def _read_chunk(data: bytes) -> Chunk:
     kind, size, header, version, width, height, pixel, time_us, count = _CHUNK.unpack_from(data)
     if not _CHUNK.size <= header <= size:
-        raise DataError(
-            f"expected a header of {_CHUNK.size} to {size} bytes, got {header}",
-            field=f"chunk {kind}",
-        )
+        raise _of_chunk(kind, f"expected a header of {_CHUNK.size} to {size} bytes, got {header}")
     time_s = None
     if version >= 2 and header >= _METADATA_AT:
         _, seconds, nanoseconds = _CHUNK_TIME.unpack_from(data, _CHUNK.size)

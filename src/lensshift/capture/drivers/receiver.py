@@ -7,7 +7,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from contextlib import ExitStack
 
 import numpy as np
 
@@ -56,8 +56,17 @@ class Receiver:
         self._thread.start()
 
     def _run(self, loop: Callable[[threading.Event], None]) -> None:
-        with _Relay(self):
+        with ExitStack() as relaying:
+            relaying.push(self._relay)
             loop(self._stop)
+
+    def _relay(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        """Hand whatever stops the thread over to the one that asks for frames."""
+        if error is None:
+            return False
+        problem = error.problem if isinstance(error, DeviceError) else repr(error)
+        self.end(f"receiving has stopped: {problem}")
+        return isinstance(error, Exception)
 
     def put(self, frame: CameraFrame, *, wait: bool = False) -> None:
         """Add a frame; if the queue is full drop the oldest, or wait for room."""
@@ -115,20 +124,6 @@ class Receiver:
         if self._thread is not None:
             self._thread.join(_JOIN_S)
             self._thread = None
-
-
-class _Relay(AbstractContextManager["_Relay"]):
-    """Hands whatever stops the thread over to the one that asks for frames."""
-
-    def __init__(self, receiver: Receiver) -> None:
-        self._receiver = receiver
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
-        if error is None:
-            return False
-        problem = error.problem if isinstance(error, DeviceError) else repr(error)
-        self._receiver.end(f"receiving has stopped: {problem}")
-        return isinstance(error, Exception)
 
 
 class ReceivingCamera(ABC):

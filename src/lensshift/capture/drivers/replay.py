@@ -61,6 +61,7 @@ class ReplayCamera(ReceivingCamera):
         self._cycle = -1
         self._fetched = -1
         self._unpaired = 0
+        self._began_s: tuple[float, float] | None = None  # as recorded, and now
 
     @property
     def grid(self) -> Grid:
@@ -88,14 +89,13 @@ class ReplayCamera(ReceivingCamera):
         except DataError as error:
             raise self._error(str(error)) from error
         self._stream = O3MStream(self._stream.source)
-        self._cycle, self._fetched, self._unpaired = -1, -1, 0
+        self._cycle, self._fetched, self._unpaired, self._began_s = -1, -1, 0, None
         self._start()
 
     def _receive(self, stop: threading.Event) -> None:
         receiver = self._receiver
         fast = math.isinf(self._speed)
-        pace = _Pace(self._speed, stop)
-        for one in self._o3m(pace) if self._is_o3m else self._bag(pace):
+        for one in self._o3m(stop) if self._is_o3m else self._bag(stop):
             if stop.is_set():
                 return
             if isinstance(one, str):
@@ -110,12 +110,12 @@ class ReplayCamera(ReceivingCamera):
             ended += f": {self._stream.explain(O3MStream().snapshot()) if heard else none}"
         receiver.end(ended)
 
-    def _o3m(self, pace: _Pace) -> Iterator[CameraFrame | str]:
+    def _o3m(self, stop: threading.Event) -> Iterator[CameraFrame | str]:
         """Yield frames, and in words what interrupted them."""
         for time_s, source, port, payload in read_udp(self._path):
             if self._port not in (None, port):
                 continue
-            pace.wait(time_s)
+            self._wait(time_s, stop)
             try:
                 frame = self._stream.push(payload, source, time_s)
             except DeviceError as error:
@@ -124,14 +124,14 @@ class ReplayCamera(ReceivingCamera):
             if frame is not None:
                 yield frame
 
-    def _bag(self, pace: _Pace) -> Iterator[CameraFrame]:
+    def _bag(self, stop: threading.Event) -> Iterator[CameraFrame]:
         """Yield frames of one amplitude image and the distance image of the same time."""
         amplitude_topic, distance_topic = self._amplitude_topic, self._distance_topic
         wanted = self._topics()
         waiting: dict[str, BagImage] = {}
         cycle = 0
         for image in read_bag(self._path, wanted):
-            pace.wait(image.time_s)
+            self._wait(image.time_s, stop)
             self._unpaired += image.topic in waiting
             waiting[image.topic] = image
             if len(waiting) < len(wanted):
@@ -146,6 +146,14 @@ class ReplayCamera(ReceivingCamera):
             waiting.clear()
             yield CameraFrame(_frame(amplitude, distance), cycle, 0.0)
             cycle += 1
+
+    def _wait(self, recorded_s: float, stop: threading.Event) -> None:
+        """Wait until recorded time has come, `speed` times as fast as it was."""
+        if math.isinf(self._speed):
+            return
+        self._began_s = self._began_s or (recorded_s, time.monotonic())
+        due_s = self._began_s[1] + (recorded_s - self._began_s[0]) / self._speed
+        stop.wait(max(0.0, due_s - time.monotonic()))
 
     def newest_cycle(self) -> int:
         """Return the counter of the newest frame begun; at infinite speed, of the last fetched."""
@@ -169,23 +177,6 @@ class ReplayCamera(ReceivingCamera):
         """Return what to keep beside the frames."""
         about = self._stream.describe() if self._is_o3m else {"topics": self._topics()}
         return {**about, "recording": self._path.name, "speed": f"{self._speed:g}"}
-
-
-class _Pace:
-    """Waits until recorded time has come, `speed` times as fast as it was."""
-
-    def __init__(self, speed: float, stop: threading.Event) -> None:
-        self._speed = speed
-        self._stop = stop
-        self._start: tuple[float, float] | None = None
-
-    def wait(self, recorded_s: float) -> None:
-        if math.isinf(self._speed):
-            return
-        if self._start is None:
-            self._start = (recorded_s, time.monotonic())
-        due_s = self._start[1] + (recorded_s - self._start[0]) / self._speed
-        self._stop.wait(max(0.0, due_s - time.monotonic()))
 
 
 def _frame(amplitude: BagImage, distance: BagImage | None) -> Frame:
