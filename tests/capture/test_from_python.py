@@ -137,3 +137,33 @@ class Repeating(CallableCamera):
         opened.camera.next_frame(5.0)
         with pytest.raises(DeviceError, match="expected a cycle after 7, got 7"):
             opened.camera.next_frame(5.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "said"),
+    [
+        ("grid", "raise OSError('USB gone')", "OSError: USB gone"),
+        ("grid", "return (48, 64)", "grid: expected a Grid, got tuple"),
+        ("modulation_hz", "return '100 MHz'", "ValueError: could not convert string"),
+        ("intrinsics", "raise KeyError('lens')", "KeyError: 'lens'"),
+    ],
+)
+def test_what_a_camera_says_of_itself_is_checked(
+    rig: Path, name: str, body: str, said: str, tmp_path: Path
+) -> None:
+    text = module(rig).read_text()
+    telling = f"""
+class Telling(CallableCamera):
+    @property
+    def {name}(self):
+        {body}
+
+    @{name}.setter
+    def {name}(self, value):
+        pass
+
+"""
+    text = text.replace("\ndef camera", telling + "\ndef camera")
+    module(rig).write_text(text.replace("return CallableCamera", "return Telling"))
+    with pytest.raises(DeviceError, match=said), open_rig(rig) as opened:
+        opened.capture("square", tmp_path / "burst.nc")

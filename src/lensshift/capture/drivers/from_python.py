@@ -171,16 +171,16 @@ class _CheckedCamera(_Checked):
 
     @property
     def grid(self) -> Grid:
-        return self._checked("grid", self._device.grid, Grid)
+        return self._ask("grid", lambda found: self._checked("grid", found, Grid))
 
     @property
     def modulation_hz(self) -> float | None:
-        known = self._device.modulation_hz
-        return None if known is None else float(known)
+        return self._ask("modulation_hz", lambda hz: None if hz is None else float(hz))
 
     @property
     def intrinsics(self) -> Any:
-        return getattr(self._device, "intrinsics", None)
+        with _Named(self.name, DeviceError):
+            return getattr(self._device, "intrinsics", None)
 
     def open(self) -> None:
         self._ask("open", type)
