@@ -237,39 +237,34 @@ class AptController:
         ready = self._flags & Bits.ENABLED and not self._flags & (Bits.MOTION_ERROR | Bits.HOMING)
         if not ready:
             return
-        speed, acceleration = max(highest / _PER_S, 1.0), max(rising / _PER_S2, 1.0)
         overrun = self._records[Id.BACKLASH].counts
-        now_s = self._time()
-        self._motion.brake(now_s, acceleration)
-        backward = overrun > 0 and goal < self._motion.motor(now_s)
-        for end in [goal - overrun, goal] if backward else [goal]:
-            low, high = self._switches
-            stop = min(max(end, low), high)
-            self._motion.go(max(now_s, self._motion.end_s), stop, speed, acceleration)
-            if stop != end:
-                break
+        backward = overrun > 0 and goal < self._motion.motor(self._time())
+        ends = [goal - overrun, goal] if backward else [goal]
         self._jogs = False
-        self._sets_out(Id.COMPLETED, now_s)
+        self._set_out(ends, highest, rising, Id.COMPLETED)
 
     def _home(self, message: Message) -> None:
         ready = self._flags & Bits.ENABLED and not self._flags & Bits.MOTION_ERROR
         if not ready or message.parameters[0] != apt.CHANNEL or self._hung:
             return
-        now_s = self._time()
         self._flags = self._flags & ~Bits.HOMED | Bits.HOMING
-        if now_s - self._enabled_s < _LOCKS_UP_S:
+        if self._time() - self._enabled_s < _LOCKS_UP_S:
             self._hung = True
             return
-        home = self._records[Id.HOME]
-        speed = max(home.velocity / _PER_S, 1.0)
-        acceleration = max(self._records[Id.VELOCITY].acceleration / _PER_S2, 1.0)
-        self._motion.brake(now_s, acceleration)
-        low, high = self._switches
-        for end in (low, min(max(low + home.offset, low), high)):
-            self._motion.go(max(now_s, self._motion.end_s), end, speed, acceleration)
-        self._sets_out(Id.HOMED, now_s)
+        home, (switch, _) = self._records[Id.HOME], self._switches
+        rising = self._records[Id.VELOCITY].acceleration
+        self._set_out([switch, switch + home.offset], home.velocity, rising, Id.HOMED)
 
-    def _sets_out(self, arrival: Id, now_s: float) -> None:
+    def _set_out(self, ends: list[float], highest: int, rising: int, arrival: Id) -> None:
+        """Go to one place after the other, or as far as the switches let it."""
+        speed, acceleration = max(highest / _PER_S, 1.0), max(rising / _PER_S2, 1.0)
+        now_s, (low, high) = self._time(), self._switches
+        self._motion.brake(now_s, acceleration)
+        for end in ends:
+            stop = min(max(end, low), high)
+            self._motion.go(max(now_s, self._motion.end_s), stop, speed, acceleration)
+            if stop != end:
+                break
         self._arrival = arrival
         self.motion_s += max(self._motion.end_s - now_s, 0.0) / self._speed
 

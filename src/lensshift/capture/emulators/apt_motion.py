@@ -77,12 +77,8 @@ class Motion:
         velocity = self.velocity(time_s)
         self.halt(time_s)
         if velocity:
-            self._append(
-                time_s,
-                abs(velocity) / acceleration,
-                velocity,
-                -math.copysign(acceleration, velocity),
-            )
+            slowing = -math.copysign(acceleration, velocity)
+            self._append(time_s, abs(velocity) / acceleration, velocity, slowing)
 
     def go(self, start_s: float, goal: float, velocity: float, acceleration: float) -> None:
         """Move from rest to rest: speed up, go on, slow down."""
