@@ -79,7 +79,11 @@ def shortest_order(
     way = np.max(np.abs(step) + 2.0 * np.abs(run_up) * (step * run_up < 0), axis=-1)
     count = len(places) - 1
     if count <= 8:
-        return _best_of_all(way, count)
+        orders = np.fromiter(permutations(range(1, count + 1)), dtype=(np.intp, count))
+        legs = np.insert(orders, 0, 0, axis=1)
+        length = way[legs[:, :-1], legs[:, 1:]].sum(axis=1)
+        best = np.argmax(length < length.min() + 1e-12)  # the first where several are as short
+        return [int(place) - 1 for place in orders[best]]
     order, left = [], set(range(1, count + 1))
     here = 0
     while left:
@@ -91,15 +95,6 @@ def shortest_order(
 
 def _length(order: list[int], way: Floats) -> float:
     return float(sum(way[a, b] for a, b in pairwise([0, *order])))
-
-
-def _best_of_all(way: Floats, count: int) -> list[int]:
-    """Return the shortest of all orders, the first of them where several are as short."""
-    orders = np.fromiter(permutations(range(1, count + 1)), dtype=(np.intp, count))
-    legs = np.insert(orders, 0, 0, axis=1)
-    length = way[legs[:, :-1], legs[:, 1:]].sum(axis=1)
-    best = np.argmax(length < length.min() + 1e-12)
-    return [int(place) - 1 for place in orders[best]]
 
 
 def _bettered(order: list[int], way: Floats) -> list[int]:

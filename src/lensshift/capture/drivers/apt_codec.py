@@ -272,13 +272,8 @@ class Info:
         text = model.split(b"\0")[0].decode("ascii", "replace").strip()
         if not text.isalnum():
             raise DamagedMessage(f"impossible model {text!r}")
-        return cls(
-            serial_number=serial_number,
-            model=text,
-            firmware=f"{major}.{interim}.{minor}",
-            notes=notes.split(b"\0")[0].decode("ascii", "replace").strip(),
-            stage_id=fields[9],
-        )
+        told = notes.split(b"\0")[0].decode("ascii", "replace").strip()
+        return cls(serial_number, text, f"{major}.{interim}.{minor}", told, fields[9])
 
 
 def servo_velocity(counts_per_s: float) -> int:

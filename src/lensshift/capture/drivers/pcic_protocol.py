@@ -269,7 +269,10 @@ def read_result(content: bytes) -> PcicImage:
             amplitude *= info.amplitude_resolution
         valid = np.isfinite(amplitude)
         if "confidence" in raw:
-            valid &= _is_valid(raw["confidence"])
+            if raw["confidence"].dtype.kind not in "ui":
+                got = raw["confidence"].dtype
+                raise DataError(f"expected whole numbers, got {got}", field="confidence")
+            valid &= (raw["confidence"] & _INVALID) == 0
         distance_m = None
         if "distance" in raw:
             distance_m = _distance_m(images[ChunkKind.DISTANCE], raw["distance"], info)
@@ -283,12 +286,6 @@ def read_result(content: bytes) -> PcicImage:
         amplitude, distance_m, valid, first.frame_count, first.time_us, first.time_s, info,
         direction, raw,
     )  # fmt: skip
-
-
-def _is_valid(confidence: Array) -> Mask:
-    if confidence.dtype.kind not in "ui":
-        raise DataError(f"expected whole numbers, got {confidence.dtype}", field="confidence")
-    return np.asarray((confidence & _INVALID) == 0)
 
 
 def _distance_m(chunk: Chunk, counts: Array, info: TofInfo | None) -> Floats:
