@@ -135,21 +135,15 @@ def actuator_budget(
     QualityWarning
         If error or noise are outside what was simulated.
     """
-    stroke_mm = decenter_for_shift(lens, element, [0.0, shift_px], grid)[1]
+    stroke_um = 1e3 * float(decenter_for_shift(lens, element, [0.0, shift_px], grid)[1])
     px_per_mm = px_per_mm_over(lens, element, grid)
-    sensitivity = 1e-3 * float(np.linalg.norm(px_per_mm, axis=-2).max())
-    parts = {name: sensitivity * rms for name, rms in actuator.rms_um().items()}
+    middle = px_per_um(lens, element, grid)
+    largest = 1e-3 * float(np.linalg.norm(px_per_mm, axis=-2).max())
+    parts = {name: largest * rms for name, rms in actuator.rms_um().items()}
     error_px = math.sqrt(sum(part**2 for part in parts.values()))
     psnr_loss_db, mtf50_loss = reconstruction_loss(error_px, noise)
     return ActuatorBudget(
-        element=element,
-        stroke_um=1e3 * float(stroke_mm),
-        sensitivity_px_per_um=px_per_um(lens, element, grid),
-        largest_px_per_um=sensitivity,
-        parts_px=parts,
-        shift_error_px=error_px,
-        psnr_loss_db=psnr_loss_db,
-        mtf50_loss=mtf50_loss,
+        element, stroke_um, middle, largest, parts, error_px, psnr_loss_db, mtf50_loss
     )
 
 

@@ -133,12 +133,5 @@ def assess(lens: Lens, goal: Goal, element: int | None, turned: tuple[bool, ...]
     )  # fmt: skip
     light = spots(lens, edge_fields(lens, goal.grid), rings=_RINGS).transmission
     return Design(
-        lens=lens,
-        element=element,
-        turned=tuple(turned),
-        mtf_centred=rest,
-        mtf_moved=moved,
-        shift_error_px=error_px,
-        stroke_mm=stroke_mm,
-        transmission=float(light.min()),
+        lens, element, tuple(turned), rest, moved, error_px, stroke_mm, float(light.min())
     )

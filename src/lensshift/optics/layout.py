@@ -251,8 +251,5 @@ def distortion_grid(
     fields = (paraxial_mm / image_per_field_mm(lens)).reshape(-1, 2)
     build = Build() if element is None else moving(lens, element, np.asarray(decenter_mm))
     real_mm = spots(lens, fields, build=build, rings=rings).centroid_mm.reshape(paraxial_mm.shape)
-    return DistortionGrid(
-        paraxial_mm=paraxial_mm,
-        real_mm=real_mm,
-        error_px=(real_mm - paraxial_mm) / np.asarray(grid.pitch_mm),
-    )
+    error_px = (real_mm - paraxial_mm) / np.asarray(grid.pitch_mm)
+    return DistortionGrid(paraxial_mm, real_mm, error_px)

@@ -129,15 +129,9 @@ def spots_of_rays(lens: Lens, rays: RayBundle, weight: Floats) -> Spots:
     position = np.where(passed[..., None], rays.position_mm, 0.0)
     centroid = np.einsum("...r,...rc->...c", share, position)
     relative = np.where(passed[..., None], position - centroid[..., None, :], 0.0)
-    spread = np.einsum("...r,...rc,...rc->...", share, relative, relative)
-    return Spots(
-        centroid_mm=centroid,
-        rms_radius_mm=np.sqrt(spread),
-        transmission=transmission,
-        ray_mm=relative,
-        direction=np.where(passed[..., None], rays.direction, 0.0),
-        weight=share,
-    )
+    radius = np.sqrt(np.einsum("...r,...rc,...rc->...", share, relative, relative))
+    direction = np.where(passed[..., None], rays.direction, 0.0)
+    return Spots(centroid, radius, transmission, relative, direction, share)
 
 
 def fields_for_image(
@@ -296,12 +290,8 @@ def wavefront(
     path = rays.path_mm - np.einsum("rc,rc->r", spot.ray_mm, spot.direction[:, :2])
     path = np.where(rays.passed, path, 0.0)
     waves = (path - spot.weight @ path) / ((wavelength_nm or lens.wavelength_nm) * 1e-6)
-    return Wavefront(
-        pupil=points[rays.passed],
-        error_waves=waves[rays.passed],
-        rms_waves=float(np.sqrt(spot.weight @ waves**2)),
-        centroid_mm=spot.centroid_mm,
-    )
+    rms = float(np.sqrt(spot.weight @ waves**2))
+    return Wavefront(points[rays.passed], waves[rays.passed], rms, spot.centroid_mm)
 
 
 def _why_dark(lens: Lens, rays: RayBundle) -> str:
