@@ -165,10 +165,8 @@ def _wave_otf(pupil: PupilFit, wave_mm: float, count: tuple[int, int], step_mm: 
         np.rint(cycles * n).astype(int) * fine
         for cycles, n, fine in zip(_cycles(count), count, finer, strict=True)
     ]
-    size = [
-        next_fast_len(n + int(np.abs(shift).max()))
-        for n, shift in zip(wave.shape, shifts, strict=True)
-    ]
+    farthest = (int(np.abs(shift).max()) for shift in shifts)
+    size = [next_fast_len(n + far) for n, far in zip(wave.shape, farthest, strict=True)]
     both = ifft2(np.abs(fft2(wave, size)) ** 2)
     otf = both[np.ix_(*shifts)] / energy
     otf[0, 0] = 1.0  # what the soft edge of the pupil lacks is far away

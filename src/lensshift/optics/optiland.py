@@ -163,8 +163,7 @@ def _glass(material: Any, wavelength_um: float, entry: Entry) -> str:
     if abs(index - 1.0) < _SAME_INDEX:
         return ""
     name = str(getattr(material, "name", ""))
-    glass = glass_called(name)
-    if glass is not None:
+    if (glass := glass_called(name)) is not None:
         return glass
     for known in GLASSES:
         if abs(refractive_index(known, 1e3 * wavelength_um) - index) < _SAME_INDEX:
