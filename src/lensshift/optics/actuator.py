@@ -181,11 +181,8 @@ def reconstruction_loss(shift_error_px: float, noise: float) -> tuple[float, flo
         )
     table = np.maximum([[_MEASURED[n, e] for e in errors_px] for n in noises], 0.0)
     at_noise = [[np.interp(shift_error_px, errors_px, row) for row in losses.T] for losses in table]
-    psnr_loss_db, mtf50_loss = (
-        float(np.interp(math.log(noise), np.log(noises), values))
-        for values in np.transpose(at_noise)
-    )
-    return psnr_loss_db, mtf50_loss
+    losses = [np.interp(math.log(noise), np.log(noises), one) for one in np.transpose(at_noise)]
+    return float(losses[0]), float(losses[1])
 
 
 def format_budget(budget: ActuatorBudget) -> str:

@@ -44,10 +44,10 @@ def forbes_terms(
 
     Source: G. W. Forbes, Opt. Express 15 (2007) 5218; recurrences 18 (2010) 19700.
     """
-    square, series = Polynomial([0.0, 1.0]), Polynomial([0.0])
+    square = Polynomial([0.0, 1.0])
     terms = (_jacobi if conic_like else _bfs)(len(coefficients))
-    for a, term in zip(coefficients, terms, strict=True):
-        series = series + a * term
+    parts = (a * term for a, term in zip(coefficients, terms, strict=True))
+    series = sum(parts, start=Polynomial([0.0]))
     if conic_like:
         total = square**2 * series
     else:

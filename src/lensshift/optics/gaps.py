@@ -184,8 +184,7 @@ class _Search:
         transmission, at_mm, slope = spot_means(rays, self.weight)
         score = mtf.min(axis=(1, 2, 3))
         score[transmission.min(axis=(1, 2)) < goal.transmission] = _IMPOSSIBLE
-        plane = score.argmax(axis=-1)
-        behind_mm = first_mm + step_mm * plane
+        behind_mm = first_mm + step_mm * score.argmax(axis=-1)
         centroid_mm = at_mm + behind_mm[:, None, None, None] * slope
         score = score.max(axis=-1) - self._penalty(centroid_mm, wanted_mm)
         one = int(np.nanargmax(np.where(np.isnan(score), _IMPOSSIBLE, score)))

@@ -359,12 +359,10 @@ def _of_formula(data: Glass, um: float) -> float:
 
     Source: the formulas of AGF catalogues as the maker of that format documents them.
     """
-    count = CONSTANT_COUNTS[data.formula]
-    k = (*data.constants, *(0.0,) * (count - len(data.constants)))
+    k = (*data.constants, *[0.0] * (CONSTANT_COUNTS[data.formula] - len(data.constants)))
     square = um * um
     if data.formula in _POWERS:
-        powers = _POWERS[data.formula]
-        value = sum(a * um**power for a, power in zip(k, powers, strict=True))
+        value = sum(a * um**power for a, power in zip(k, _POWERS[data.formula], strict=True))
     elif data.formula in ("sellmeier 1", "sellmeier 3", "sellmeier 5"):
         value = 1.0 + sum(b * square / (square - c) for b, c in zip(k[::2], k[1::2], strict=True))
     elif data.formula in _SQUARES:

@@ -167,8 +167,7 @@ def _wave_otf(pupil: PupilFit, wave_mm: float, count: tuple[int, int], step_mm: 
     ]
     farthest = (int(np.abs(shift).max()) for shift in shifts)
     size = [next_fast_len(n + far) for n, far in zip(wave.shape, farthest, strict=True)]
-    both = ifft2(np.abs(fft2(wave, size)) ** 2)
-    otf = both[np.ix_(*shifts)] / energy
+    otf = ifft2(np.abs(fft2(wave, size)) ** 2)[np.ix_(*shifts)] / energy
     otf[0, 0] = 1.0  # what the soft edge of the pupil lacks is far away
     return np.asarray(otf)
 

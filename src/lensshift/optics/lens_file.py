@@ -204,12 +204,10 @@ def _entries_of(table: Any, made: type[Any], where: str, **also: Any) -> dict[st
         if kind in _KINDS and name != "gaps_mm" and also.get(name, ...) is ...
     }
     defaults = {one.name.replace("_rad", "_deg"): one.default for one in fields(made)} | also
-    needed = {key: defaults[key] in (MISSING, ...) for key in sorted(kinds)}
-    check_keys(table, needed, where)
+    check_keys(table, {key: defaults[key] in (MISSING, ...) for key in sorted(kinds)}, where)
     found = {key: default for key, default in also.items() if key not in table}
     for key, value in table.items():
-        kind = kinds[key]
-        found[key] = value if kind is None else _value(value, key, kind, where)
+        found[key] = value if kinds[key] is None else _value(value, key, kinds[key], where)
     if "tilt_deg" in found:
         row_deg, col_deg = found.pop("tilt_deg")
         found["tilt_rad"] = math.radians(row_deg), math.radians(col_deg)

@@ -260,8 +260,5 @@ def _with_plate(lens: Lens) -> Lens | None:
     if room_mm < _PLATE_ROOM_MM:
         return None
     plate = replace(cover_glass(glass, _PLATE_MM), name="plate")
-    return replace(
-        lens,
-        elements=(*lens.elements, plate),
-        gaps_mm=(*lens.gaps_mm[:-1], room_mm, room_mm),
-    )
+    gaps_mm = (*lens.gaps_mm[:-1], room_mm, room_mm)
+    return replace(lens, elements=(*lens.elements, plate), gaps_mm=gaps_mm)

@@ -38,8 +38,7 @@ def pupil_quadrature(
     radius = np.sqrt(square)
     angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
     points = radius[:, None, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
-    weights = np.repeat(weight / count, count)
-    return points.reshape(-1, 2), weights
+    return points.reshape(-1, 2), np.repeat(weight / count, count)
 
 
 def pupil_arms(rings: int) -> Floats:

@@ -112,8 +112,7 @@ def trace(
     if points.ndim != 2:
         raise ValueError(f"expected pupil [ray 2], got shape {points.shape}")
     system = System(lens, build or Build(), fields, wavelength_nm)
-    rays = launch(lens, system, points)
-    return system.bundle(rays, heights, crossings)
+    return system.bundle(launch(lens, system, points), heights, crossings)
 
 
 class System:

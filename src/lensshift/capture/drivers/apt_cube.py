@@ -106,8 +106,7 @@ class AptCube:
             )
             if kept == wanted:
                 return
-        problem = f"wrote {wanted}, reads back {kept}"
-        raise self.link.error(problem, f"set {name} parameters")
+        raise self.link.error(f"wrote {wanted}, reads back {kept}", f"set {name} parameters")
 
     def stand_still(self) -> None:
         """Say stop until two replies in a row say that the motor stands, for a while at most."""

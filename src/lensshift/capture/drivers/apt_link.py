@@ -145,8 +145,7 @@ class AptLink:
         return messages
 
     def _write(self, messages: tuple[Message, ...]) -> None:
-        data = b"".join(message.to_bytes() for message in messages)
-        self._use(lambda: self._port.write(data))
+        self._use(lambda: self._port.write(b"".join(one.to_bytes() for one in messages)))
 
     def _use(self, action: Callable[[], Any]) -> Any:
         """Use the port, and turn its errors into one that says what to look at."""

@@ -205,8 +205,7 @@ class AptController:
     def _call_it(self, message: Message) -> None:
         """Let the place where the motor stands bear another number."""
         with suppress(apt.DamagedMessage):
-            counts = apt.Target.unpack(message.data).counts
-            self._zero = self._motion.motor(self._time()) - counts
+            self._zero = self._motion.motor(self._time()) - apt.Target.unpack(message.data).counts
 
     def _move(self, message: Message) -> None:
         """Go to a place, or by a length; without one in the message by that set before."""
