@@ -219,9 +219,7 @@ def test_eight_edges_are_worth_a_process_on_each_core(
     asked: list[int] = []
 
     @contextmanager
-    def measured(
-        pictures: Any, pitch_mm: Any, options: Any, tasks: Any, workers: int, context: Any
-    ) -> Any:
+    def measured(work: Any, tasks: Any, workers: int, context: Any) -> Any:
         asked.append(workers)
         yield iter(())
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.context import BaseContext
 from typing import Any
@@ -21,6 +22,9 @@ from lensshift.evaluation.chart import ChartEdge, FocusFit, best_focus, chart_ed
 from lensshift.evaluation.slanted_edge import EdgeResult, Region, find_regions, measure_edge
 
 Pitch = float | tuple[float, float]
+Task = tuple[int, Region]  # number of the photograph, and where in it
+Told = tuple[int, EdgeResult | str]  # that number, and what was found or why not
+Work = Callable[[Task], Told]
 _WORTH_WORKERS = 8  # edges: below, starting processes takes longer than it saves
 
 
@@ -81,7 +85,7 @@ def measure_chart(
     QualityWarning
         If a photograph shows no edge, or regions that look like edges could not be measured.
     """
-    tasks: list[tuple[int, Region]] = []
+    tasks: list[Task] = []
     blank: list[str] = []
     for number, one in enumerate(pictures):
         try:
@@ -92,8 +96,8 @@ def measure_chart(
         workers = (os.cpu_count() or 1) if len(tasks) >= _WORTH_WORKERS else 1
     found: list[list[EdgeResult]] = [[] for _ in pictures]
     refused: list[str] = []
-    where = context or get_context("spawn")
-    with _measured(pictures, pitch_mm, options, tasks, workers, where) as results:
+    work = partial(_one, pictures, pitch_mm, options)
+    with _measured(work, tasks, workers, context or get_context("spawn")) as results:
         for done, (number, result) in enumerate(results, start=1):
             if isinstance(result, str):
                 refused.append(f"{pictures[number].name}: {result}")
@@ -113,8 +117,7 @@ def measure_chart(
             f"expected a slanted edge that can be measured, found none in {names}{why}"
         )
     if blank:
-        told = f"no slanted edge was found in {', '.join(blank)}"
-        warn_quality(told)
+        warn_quality(f"no slanted edge was found in {', '.join(blank)}")
     if refused:
         warn_quality(f"{len(refused)} regions could not be measured, the first: {refused[0]}")
     return edges
@@ -159,21 +162,13 @@ def focus_series(edges: Sequence[ChartEdge]) -> tuple[list[dict[str, Any]], dict
 
 @contextmanager
 def _measured(
-    pictures: Sequence[Photograph],
-    pitch_mm: Pitch,
-    options: dict[str, Any],
-    tasks: Sequence[tuple[int, Region]],
-    workers: int,
-    context: BaseContext,
-) -> Iterator[Iterator[tuple[int, EdgeResult | str]]]:
+    work: Work, tasks: Sequence[Task], workers: int, context: BaseContext
+) -> Iterator[Iterator[Told]]:
     """Yield the results in the order of the tasks."""
-    given = [
-        (one.image, {"offset_px": one.offset_px, "jpeg_steps": one.jpeg_steps}) for one in pictures
-    ]
     if workers <= 1:
-        yield (_one(given, pitch_mm, options, task) for task in tasks)
+        yield map(work, tasks)
         return
-    pool = ProcessPoolExecutor(workers, context, _begin, (given, pitch_mm, options))
+    pool = ProcessPoolExecutor(workers, context, _begin, (work,))
     try:
         with one_thread_each():
             results = pool.map(_task, tasks)  # starts the processes
@@ -182,31 +177,28 @@ def _measured(
         pool.shutdown(cancel_futures=True)
 
 
-_given: Any = ()
+_work: Work
 
 
-def _begin(*given: Any) -> None:
+def _begin(work: Work) -> None:
     """Keep what every task of this process needs."""
-    global _given
-    _given = given
+    global _work
+    _work = work
 
 
-def _task(task: tuple[int, Region]) -> tuple[int, EdgeResult | str]:
-    given, pitch_mm, options = _given
-    return _one(given, pitch_mm, options, task)
+def _task(task: Task) -> Told:
+    return _work(task)
 
 
 def _one(
-    given: Sequence[tuple[NDArray[Any], dict[str, Any]]],
-    pitch_mm: Pitch,
-    options: dict[str, Any],
-    task: tuple[int, Region],
-) -> tuple[int, EdgeResult | str]:
+    pictures: Sequence[Photograph], pitch_mm: Pitch, options: dict[str, Any], task: Task
+) -> Told:
     number, place = task
-    image, own = given[number]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", QualityWarning)  # the notes say it
+    one = pictures[number]
+    own = {"offset_px": one.offset_px, "jpeg_steps": one.jpeg_steps, **options}
+    # The notes say what is warned of.
+    with warnings.catch_warnings(action="ignore", category=QualityWarning):
         try:
-            return number, measure_edge(image, pitch_mm, region=place, **own, **options)
+            return number, measure_edge(one.image, pitch_mm, region=place, **own)
         except ValueError as error:
             return number, str(error)

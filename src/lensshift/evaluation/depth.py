@@ -165,15 +165,12 @@ def near_edges(
     distance_m = distance_image(truth_m, None)
     check_edges(scale, edge_width_px, noise_m, min_step_m)
     beside = np.zeros(distance_m.shape, dtype=np.bool_)
-    for before, after in (
-        ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
-        ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
-    ):
-        nearer_m = np.minimum(distance_m[before], distance_m[after])
-        step_m = np.abs(distance_m[after] - distance_m[before])
+    for lines_m, near in ((distance_m, beside), (distance_m.T, beside.T)):
+        nearer_m = np.minimum(lines_m[:-1], lines_m[1:])
+        step_m = np.abs(np.diff(lines_m, axis=0))
         is_edge = step_m > smallest_step_m(nearer_m, noise_m, min_step_m)
-        beside[before] |= is_edge
-        beside[after] |= is_edge
+        near[:-1] |= is_edge
+        near[1:] |= is_edge
     if not beside.any():
         return beside
     # Pixels beside an edge have their centre half a pixel from it.
@@ -235,12 +232,8 @@ def edge_location_error(
     fits = np.polyfit(numbers, place_px, 1)
     fitted_px = np.outer(numbers, fits[0]) + fits[1]
     error_px = fitted_px[:, 0] - fitted_px[:, 1]
-    return EdgeLocationError(
-        mean_px=float(error_px.mean()),
-        rms_px=rms(error_px),
-        scatter_px=rms(place_px[:, 0] - fitted_px[:, 0]),
-        lines=len(numbers),
-    )
+    scatter_px = rms(place_px[:, 0] - fitted_px[:, 0])
+    return EdgeLocationError(float(error_px.mean()), rms(error_px), scatter_px, len(numbers))
 
 
 def fill_rate(distance_m: ArrayLike, *, valid: ArrayLike | None = None) -> float:

@@ -216,16 +216,8 @@ def profile_edge(
         _rise_mm(place_mm, values, start, level) for level in (low_limit, middle, high_limit)
     )
     sign = -1.0 if falling else 1.0
-    return ProfileEdge(
-        low=low,
-        high=high,
-        low_limit=low_limit,
-        high_limit=high_limit,
-        low_position_mm=sign * low_mm,
-        high_position_mm=sign * high_mm,
-        position_mm=sign * middle_mm,
-        falling=falling,
-    )
+    places_mm = sign * low_mm, sign * high_mm, sign * middle_mm
+    return ProfileEdge(low, high, low_limit, high_limit, *places_mm, falling)
 
 
 def split_index(values: Floats) -> int:

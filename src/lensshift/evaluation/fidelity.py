@@ -40,11 +40,8 @@ def fidelity(
     """
     error = rmse(image, truth, border_px=border_px)
     small = min(np.shape(image)) - 2 * border_px < SSIM_WINDOW_PX
-    return Fidelity(
-        psnr_db=psnr_db(image, truth, peak=peak, border_px=border_px),
-        ssim=float("nan") if small else ssim(image, truth, peak=peak, border_px=border_px),
-        rmse=error,
-    )
+    alike = float("nan") if small else ssim(image, truth, peak=peak, border_px=border_px)
+    return Fidelity(psnr_db(image, truth, peak=peak, border_px=border_px), alike, error)
 
 
 def rmse(image: ArrayLike, truth: ArrayLike, *, border_px: int = 4) -> float:
@@ -115,21 +112,16 @@ def ssim(image: ArrayLike, truth: ArrayLike, *, peak: float = 1.0, border_px: in
             f"expected at least {SSIM_WINDOW_PX} x {SSIM_WINDOW_PX} pixels inside the border for "
             f"SSIM, got {inside.shape[0]} x {inside.shape[1]}"
         )
-    mean, true_mean = _windowed(inside), _windowed(true_inside)
-    variance = _windowed(inside**2) - mean**2 + _windowed(true_inside**2) - true_mean**2
-    covariance = _windowed(inside * true_inside) - mean * true_mean
-    c1, c2 = (0.01 * peak) ** 2, (0.03 * peak) ** 2
-    similarity = (2 * mean * true_mean + c1) * (2 * covariance + c2)
-    similarity /= (mean**2 + true_mean**2 + c1) * (variance + c2)
-    half = SSIM_WINDOW_PX // 2  # where the window lies inside the image
-    return float(np.mean(similarity[half:-half, half:-half]))
-
-
-def _windowed(values: Floats) -> Floats:
     from scipy.ndimage import gaussian_filter
 
-    radius = SSIM_WINDOW_PX // 2
-    return np.asarray(gaussian_filter(values, _SSIM_SIGMA_PX, radius=radius))
+    half = SSIM_WINDOW_PX // 2
+    both = (inside, true_inside, inside**2 + true_inside**2, inside * true_inside)
+    windowed = (gaussian_filter(one, _SSIM_SIGMA_PX, radius=half) for one in both)
+    mean, true_mean, squares, products = (np.asarray(one) for one in windowed)
+    squared_means, c1, c2 = mean**2 + true_mean**2, (0.01 * peak) ** 2, (0.03 * peak) ** 2
+    similarity = (2 * mean * true_mean + c1) * (2 * (products - mean * true_mean) + c2)
+    similarity /= (squared_means + c1) * (squares - squared_means + c2)
+    return float(np.mean(similarity[half:-half, half:-half]))  # where the window lies inside
 
 
 def _interiors(image: ArrayLike, truth: ArrayLike, border_px: int) -> tuple[Floats, Floats]:
@@ -140,8 +132,7 @@ def _interiors(image: ArrayLike, truth: ArrayLike, border_px: int) -> tuple[Floa
             f"expected a border from 0 to {(min(values.shape) - 1) // 2} px for shape "
             f"{values.shape}, got {border_px}"
         )
-    rows, cols = values.shape
-    inside = (slice(border_px, rows - border_px), slice(border_px, cols - border_px))
+    inside = tuple(slice(border_px, count - border_px) for count in values.shape)
     check_finite(values[inside], " in the image")
     check_finite(true_values[inside], " in the truth")
     return values[inside], true_values[inside]

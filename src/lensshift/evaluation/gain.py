@@ -74,8 +74,8 @@ def ratio_of(above: Interval, below: Interval) -> Interval:
         return Interval(float("nan"))
     value = above.value / below.value
     with np.errstate(divide="ignore", invalid="ignore"):
-        down = np.hypot(_log(above.value / above.low), _log(below.high / below.value))
-        up = np.hypot(_log(above.high / above.value), _log(below.value / below.low))
+        down = np.hypot(*np.log([above.value / above.low, below.high / below.value]))
+        up = np.hypot(*np.log([above.high / above.value, below.value / below.low]))
         return Interval(value, float(value * np.exp(-down)), float(value * np.exp(up)))
 
 
@@ -132,13 +132,9 @@ def _geometric_mean(ratios: Sequence[Interval]) -> Interval:
     if len(reached) < 2:
         return reached[0] if reached else Interval(float("nan"))
     with np.errstate(divide="ignore", invalid="ignore"):
-        logs = [Interval(*map(_log, (one.value, one.low, one.high))) for one in reached]
+        logs = [Interval(*np.log([one.value, one.low, one.high]).tolist()) for one in reached]
     mean = average_interval(logs)
     return Interval(*np.exp([mean.value, mean.low, mean.high]).tolist())
-
-
-def _log(ratio: float) -> float:
-    return float(np.log(ratio))
 
 
 def _direction(edge: EdgeResult) -> str:

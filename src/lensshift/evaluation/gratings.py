@@ -139,13 +139,11 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
     values = pixels.values[inside]
     reach = np.ptp(row_mm), np.ptp(col_mm)
     if values.size < 16 or max(reach) * frequency_lpmm < _LEAST_CYCLES:
-        if place is None:
-            raise ValueError(
-                f"found no bars of {frequency_lpmm:.4g} along rows or columns with "
-                f"{_LEAST_CYCLES:g} cycles or more between their ends; give their region"
-            )
         raise ValueError(
             f"expected {_LEAST_CYCLES:g} cycles of {frequency_lpmm:.4g} or more in {region}"
+            if place is not None
+            else f"found no bars of {frequency_lpmm:.4g} along rows or columns with "
+            f"{_LEAST_CYCLES:g} cycles or more between their ends; give their region"
         )
     background = np.column_stack([np.ones_like(row_mm), row_mm, col_mm])
     light = np.linalg.qr(background)[0]
@@ -232,10 +230,7 @@ def _found(pixels: Pixels, frequency_lpmm: float) -> Box:
         place = np.arange(pixels.shape[axis])
         wave = np.exp(-2j * np.pi * place / period_px)
         turned = smooth * (wave[:, None] if axis == 0 else wave)
-        near = np.hypot(
-            ndimage.gaussian_filter(turned.real, 0.75 * period_px, mode="constant"),
-            ndimage.gaussian_filter(turned.imag, 0.75 * period_px, mode="constant"),
-        )
+        near = np.abs(ndimage.gaussian_filter(turned, 0.75 * period_px, mode="constant"))
         if near.max() > strongest:
             best, strongest = near, float(near.max())
             last = int(np.ceil(_END_CYCLES * period_px))

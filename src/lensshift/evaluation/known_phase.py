@@ -151,13 +151,8 @@ def fit_harmonic(
     change[:2] = np.cos(phase_rad) / level, np.sin(phase_rad) / level
     change[len(waves) :] = -modulation / level * mean_columns
     variance = np.sum((change @ root) ** 2) * (left @ left)
-    return HarmonicFit(
-        modulation=modulation,
-        std=float(np.sqrt(variance / (count - unknowns))),
-        phase_rad=phase_rad,
-        count=count,
-        residual=float(np.sqrt(np.mean(left**2))),
-    )
+    std, residual = float(np.sqrt(variance / (count - unknowns))), float(np.sqrt(np.mean(left**2)))
+    return HarmonicFit(modulation, std, phase_rad, count, residual)
 
 
 def contrast_at_zero(
@@ -281,11 +276,11 @@ def refine_center_px(
         center_px = (center_px[0] + float(step_px[0]), center_px[1] + float(step_px[1]))
         if np.max(np.abs(step_px)) < _CENTER_TOLERANCE_PX:
             return center_px
-    problem = (
+    warn_quality(
         f"the centre still moves by {np.max(np.abs(step_px)):.2g} px a step: is the pattern as "
-        "told? Else give center_px"
+        "told? Else give center_px",
+        stacklevel=4,
     )
-    warn_quality(problem, stacklevel=4)
     return center_px
 
 

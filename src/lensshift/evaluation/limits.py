@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.optical import MtfCurve
 
 _MM_PER_NM = 1e-6
@@ -16,7 +17,7 @@ def pixel_aperture_mtf(
     *,
     angle_rad: float = 0.0,
     fill_factor: float = 1.0,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the MTF of a rectangular pixel along the normal of an edge.
 
         MTF(f) = | sinc(a p_col f cos t) sinc(a p_row f sin t) |,   a = sqrt(fill_factor)
@@ -42,13 +43,11 @@ def pixel_aperture_mtf(
     if not 0 < fill_factor <= 1:
         raise ValueError(f"expected a fill factor above 0 and up to 1, got {fill_factor}")
     along = np.sqrt(fill_factor) * np.asarray(frequency_lpmm, dtype=np.float64)
-    product = np.sinc(col_mm * np.cos(angle_rad) * along) * np.sinc(
-        row_mm * np.sin(angle_rad) * along
-    )
-    return np.asarray(np.abs(product))
+    across_mm = col_mm * np.cos(angle_rad), row_mm * np.sin(angle_rad)
+    return np.asarray(np.abs(np.sinc(across_mm[0] * along) * np.sinc(across_mm[1] * along)))
 
 
-def paper_sensor_limit(frequency_lpmm: ArrayLike, pitch_mm: float) -> NDArray[np.float64]:
+def paper_sensor_limit(frequency_lpmm: ArrayLike, pitch_mm: float) -> Floats:
     """Return the sensor limit as the source paper draws it.
 
         limit(f) = sinc(p f)^2
@@ -71,9 +70,7 @@ def paper_sensor_limit(frequency_lpmm: ArrayLike, pitch_mm: float) -> NDArray[np
     return np.asarray(np.sinc(pitch_mm * np.asarray(frequency_lpmm, dtype=np.float64)) ** 2)
 
 
-def diffraction_mtf(
-    frequency_lpmm: ArrayLike, wavelength_nm: float, f_number: float
-) -> NDArray[np.float64]:
+def diffraction_mtf(frequency_lpmm: ArrayLike, wavelength_nm: float, f_number: float) -> Floats:
     """Return the MTF of a perfect lens with a round pupil in incoherent light.
 
         MTF(f) = (2 / pi) (acos v - v sqrt(1 - v^2)),   v = |f| / cutoff,   0 beyond the cutoff
@@ -111,7 +108,7 @@ def first_crossing_lpmm(curve: MtfCurve, level: float) -> float:
     return first_fall(curve.frequency_lpmm, curve.modulation - level)
 
 
-def first_fall(frequency_lpmm: NDArray[np.float64], excess: NDArray[np.float64]) -> float:
+def first_fall(frequency_lpmm: Floats, excess: Floats) -> float:
     """Return where an excess [n] at rising frequencies first falls below 0; NaN as above."""
     below = np.flatnonzero(excess < 0)
     if below.size == 0 or below[0] == 0:
@@ -131,9 +128,7 @@ def pitch_pair_mm(pitch_mm: float | tuple[float, float]) -> tuple[float, float]:
     return float(pair[0]), float(pair[1])
 
 
-def lpmm_to_cycles_per_mrad(
-    frequency_lpmm: ArrayLike, focal_length_mm: float
-) -> NDArray[np.float64]:
+def lpmm_to_cycles_per_mrad(frequency_lpmm: ArrayLike, focal_length_mm: float) -> Floats:
     """Convert line pairs per mm on the sensor to cycles per mrad in the scene, f F / 1000."""
     _check_positive(focal_length_mm, "focal length in mm")
     return np.asarray(np.asarray(frequency_lpmm, dtype=np.float64) * focal_length_mm / 1000.0)

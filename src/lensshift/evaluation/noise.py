@@ -99,9 +99,8 @@ def noise_autocovariance(noise_frames: ArrayLike, reach_px: int = 3) -> Floats:
         for col in range(-reach_px, reach_px + 1):
             here = noise[:, : rows - row, max(0, -col) : cols - max(0, col)]
             there = noise[:, row:, max(0, col) : cols - max(0, -col)]
-            value = np.mean(here * there)
-            covariance[reach_px + row, reach_px + col] = value
-            covariance[reach_px - row, reach_px - col] = value
+            at = np.array([[row, -row], [col, -col]]) + reach_px  # equal at opposite lags
+            covariance[tuple(at)] = np.mean(here * there)
     return covariance
 
 

@@ -96,11 +96,9 @@ def fourier_ring_correlation(
     183 (2013) 363.
     """
     images = [_image(first, "first"), _image(second, "second")]
-    if images[0].shape != images[1].shape:
-        raise ValueError(
-            f"expected two images of one shape, got {images[0].shape} and {images[1].shape}"
-        )
-    shape = images[0].shape
+    shape, other = (image.shape for image in images)
+    if shape != other:
+        raise ValueError(f"expected two images of one shape, got {shape} and {other}")
     # Zero half a pixel outside the image, so that no pixel is thrown away.
     hann = [np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2 for n in shape]
     weight = np.outer(*hann) if window else np.ones(shape)
@@ -124,19 +122,15 @@ def fourier_ring_correlation(
         )
     _warn_if_apart(spectra[0] * np.conj(spectra[1]), weight)
     samples = count**2 / ring_sums(_neighbours(ring, weight))
-    _warn_if_few(samples)
     root = np.sqrt(samples)
     half_bit = (0.2071 + 1.9102 / root) / (1.2071 + 0.9102 / root)
     frequency_lpmm = ring_sums(radius_lpmm) / count
-    _warn_if_coarse_is_empty(correlation - half_bit, root)
-    return RingCorrelation(
-        frequency_lpmm=frequency_lpmm,
-        correlation=correlation,
-        samples=samples,
-        half_bit=half_bit,
-        cutoff_lpmm=_first_crossing_lpmm(frequency_lpmm, correlation - half_bit),
-        fixed_cutoff_lpmm=_first_crossing_lpmm(frequency_lpmm, correlation - FIXED_THRESHOLD),
+    _warn_of_samples(samples, correlation - half_bit)
+    cutoffs_lpmm = (
+        _first_crossing_lpmm(frequency_lpmm, correlation - least)
+        for least in (half_bit, FIXED_THRESHOLD)
     )
+    return RingCorrelation(frequency_lpmm, correlation, samples, half_bit, *cutoffs_lpmm)
 
 
 def _warn_if_apart(cross: NDArray[np.complex128], weight: Floats) -> None:
@@ -193,7 +187,8 @@ def _neighbours(ring: NDArray[np.int64], weight: Floats) -> Floats:
     return worth
 
 
-def _warn_if_few(samples: Floats) -> None:
+def _warn_of_samples(samples: Floats, excess: Floats) -> None:
+    """Warn if they are few, or if the coarsest ring does not agree though most rings do."""
     median = float(np.median(samples))
     if median < _MIN_SAMPLES:
         warn_quality(
@@ -203,9 +198,7 @@ def _warn_if_few(samples: Floats) -> None:
             stacklevel=3,
         )
 
-
-def _warn_if_coarse_is_empty(excess: Floats, root: Floats) -> None:
-    agreeing = int(np.count_nonzero(excess * root > _SURE))
+    agreeing = int(np.count_nonzero(excess * np.sqrt(samples) > _SURE))
     if excess[0] < 0 and 2 * agreeing > excess.size:
         warn_quality(
             f"the coarsest ring does not agree although {agreeing} of {excess.size} do: the scene "

@@ -16,6 +16,8 @@ from lensshift.core.optical import MtfCurve
 from lensshift.evaluation import known_phase
 from lensshift.evaluation.known_phase import HarmonicFit, Pixels, Waves
 
+Pair = tuple[float, float]
+
 _FEWEST_CYCLES = 5  # below, the wave is one of the terms of uneven light or next to it
 # Harmonics beyond the Nyquist frequency alias, in each direction elsewhere: they are told apart as
 # far as the sampling frequency, but for short arcs.
@@ -111,17 +113,15 @@ def siemens_star_mtf(
     Source: ISO 12233:2014 (s-SFR); Loebich et al., Proc. SPIE 6502 (2007) 65020N.
     """
     _check_star(cycles, profile, sectors, radius_range_mm)
-    star = _Star(cycles, profile)
     pixels = known_phase.list_pixels(image, pitch_mm, valid)
-    center, radii_mm = _place(star, pixels, center_px, radius_range_mm)
+    star = _Star(pixels, cycles, profile)
+    center, radii_mm = _place(star, center_px, radius_range_mm)
     row_mm, col_mm = pixels.place_mm(center)
     radius_mm, angle_rad = np.hypot(row_mm, col_mm), np.arctan2(row_mm, col_mm)
-    _check_reach(pixels, cycles, radii_mm, float(radius_mm.max()))
-    waves, rings_mm, fits = _printed(
-        star, pixels, star.waves(row_mm, col_mm, radii_mm, pixels.pitch_mm), radius_mm, radii_mm,
-        cut=radius_range_mm is None,
-    )  # fmt: skip
-    pixels_per_cycle = star.pixels_per_cycle(rings_mm, pixels.pitch_mm)
+    _check_reach(star, radii_mm, float(radius_mm.max()))
+    waves = star.waves(radii_mm, row_mm, col_mm)
+    waves, rings_mm, fits = _printed(star, waves, radius_mm, radii_mm, cut=not radius_range_mm)
+    pixels_per_cycle = star.pixels_per_cycle(rings_mm)
     if coarse := int(np.count_nonzero(pixels_per_cycle < 2)):
         count = len(pixels_per_cycle)
         warn_quality(f"{coarse} of {count} rings of the star have fewer than 2 pixels a cycle")
@@ -129,16 +129,14 @@ def siemens_star_mtf(
     outer = max(_MIN_RINGS, int(np.count_nonzero(rings_mm >= rings_mm[0] / 2)))
     contrast = known_phase.contrast_at_zero(frequency_lpmm[:outer], fits[:outer], levels, profile)
     places = [center, *(() if center_px else _starts_px(pixels))]
-    _refuse_other_star(pixels, places, radii_mm[1], cycles)
+    _refuse_other_star(star, places, radii_mm[1])
     known_phase.warn_if_out_of_step(fits, f"the number of {cycles} cycles")
     curves = []
     for k in range(sectors):
         part = _sector(waves, angle_rad - 2 * np.pi * k / sectors, np.pi / sectors)
-        part_mm, part_fits = star.measure(pixels, part, radius_mm)
-        part_lpmm = star.frequency_lpmm(part_mm)
-        curves.append(
-            known_phase.mtf_curve(part_lpmm, part_fits, contrast, f"sector {k} of {sectors}")
-        )
+        part_mm, found = star.measure(part, radius_mm)
+        told = star.frequency_lpmm(part_mm), found, contrast, f"sector {k} of {sectors}"
+        curves.append(known_phase.mtf_curve(*told))
     phasors = np.exp(1j * np.array([fit.phase_rad for fit in fits]))
     mean = np.array([fit.modulation for fit in fits]) @ phasors
     return SiemensResult(
@@ -157,127 +155,111 @@ def siemens_star_mtf(
 
 @dataclass(frozen=True, slots=True)
 class _Star:
+    pixels: Pixels
     cycles: int
     profile: Literal["sine", "square"]
+
+    @property
+    def step_mm(self) -> float:
+        """Width of a ring."""
+        return max(self.pixels.pitch_mm)
 
     def frequency_lpmm(self, radius_mm: Floats) -> Floats:
         return self.cycles / (2 * np.pi * radius_mm)
 
-    def pixels_per_cycle(self, radius_mm: Floats, pitch_mm: tuple[float, float]) -> Floats:
-        return 2 * np.pi * radius_mm / (self.cycles * max(pitch_mm))
+    def pixels_per_cycle(self, radius_mm: Floats) -> Floats:
+        return 2 * np.pi * radius_mm / (self.cycles * self.step_mm)
 
-    def waves(
-        self,
-        row_mm: Floats,
-        col_mm: Floats,
-        radii_mm: tuple[float, float],
-        pitch_mm: tuple[float, float],
-    ) -> Waves:
+    def default_range_mm(self, center_px: Pair) -> Pair:
+        return self.cycles * self.step_mm / np.pi, min(self.pixels.reach_mm(center_px))
+
+    def waves(self, radii_mm: Pair, row_mm: Floats, col_mm: Floats) -> Waves:
         radius_mm, angle_rad = np.hypot(row_mm, col_mm), np.arctan2(row_mm, col_mm)
         used = (radius_mm >= radii_mm[0]) & (radius_mm <= radii_mm[1])
-        inwards = np.floor((radii_mm[1] - radius_mm) / max(pitch_mm)).astype(np.int64)
+        inwards = np.floor((radii_mm[1] - radius_mm) / self.step_mm).astype(np.int64)
         over = self.cycles / np.maximum(radius_mm, radii_mm[0]) ** 2
+        uneven = [wave(k * angle_rad) for k in (1, 2) for wave in (np.cos, np.sin)]
         return Waves(
             ring=np.where(used, inwards, -1),
             phase_rad=self.cycles * angle_rad,
             slope=np.column_stack([col_mm * over, -row_mm * over]),
-            background=np.column_stack(
-                [
-                    np.ones_like(angle_rad),
-                    *(wave(k * angle_rad) for k in (1, 2) for wave in (np.cos, np.sin)),
-                ]
-            ),
+            background=np.column_stack([np.ones_like(angle_rad), *uneven]),
         )
 
-    def measure(
-        self, pixels: Pixels, waves: Waves, radius_mm: Floats
-    ) -> tuple[Floats, list[HarmonicFit]]:
+    def measure(self, waves: Waves, radius_mm: Floats) -> tuple[Floats, list[HarmonicFit]]:
         radii_mm, fits = [], []
         for index in known_phase.ring_indices(waves.ring):
+            values, background = self.pixels.values[index], waves.background[index]
             mean_mm = radius_mm[index].mean()
-            per_cycle = float(self.pixels_per_cycle(mean_mm, pixels.pitch_mm))
             for beyond in _BEYOND_NYQUIST:
-                orders = known_phase.printed_orders(self.profile, beyond * per_cycle)
+                per_cycle = beyond * float(self.pixels_per_cycle(mean_mm))
+                orders = known_phase.printed_orders(self.profile, per_cycle)
                 phases = [k * waves.phase_rad[index] for k in orders]
-                fit = known_phase.fit_harmonic(
-                    pixels.values[index], waves.background[index], phases
-                )
+                fit = known_phase.fit_harmonic(values, background, phases)
                 if fit is not None:
+                    radii_mm.append(mean_mm)
+                    fits.append(fit)
                     break
-            if fit is not None:
-                radii_mm.append(mean_mm)
-                fits.append(fit)
         return np.array(radii_mm), fits
 
 
-def _place(
-    star: _Star,
-    pixels: Pixels,
-    center_px: tuple[float, float] | None,
-    radius_range_mm: tuple[float, float] | None,
-) -> tuple[tuple[float, float], tuple[float, float]]:
+def _place(star: _Star, center_px: Pair | None, radius_range_mm: Pair | None) -> tuple[Pair, Pair]:
     """Return the centre and the range of radii, found where they are not given."""
-    if np.ptp(pixels.values) == 0.0:  # it has no centre either
-        raise ValueError(f"expected contrast, got {pixels.values[0]:.6g} in all pixels")
-    center = center_px or _find_center_px(star, pixels, radius_range_mm)
-    radii_mm = radius_range_mm or _default_range_mm(pixels, center, star.cycles)
+    values = star.pixels.values
+    if np.ptp(values) == 0.0:  # it has no centre either
+        raise ValueError(f"expected contrast, got {values[0]:.6g} in all pixels")
+    center = center_px or _find_center_px(star, radius_range_mm)
+    radii_mm = radius_range_mm or star.default_range_mm(center)
     if radius_range_mm is None and radii_mm[0] < radii_mm[1]:
-        rim_mm = _rim_mm(star, pixels, center, radii_mm)
+        rim_mm = _rim_mm(star, center, radii_mm)
         if radii_mm[0] < rim_mm < radii_mm[1]:
             radii_mm = radii_mm[0], rim_mm
             # What surrounds the star has told of its place as well.
-            center = center_px or _find_center_px(star, pixels, radii_mm)
+            center = center_px or _find_center_px(star, radii_mm)
     return center, radii_mm
 
 
-def _check_reach(
-    pixels: Pixels, cycles: int, radii_mm: tuple[float, float], farthest_mm: float
-) -> None:
+def _check_reach(star: _Star, radii_mm: Pair, farthest_mm: float) -> None:
     if radii_mm[0] >= radii_mm[1]:
         raise ValueError(
-            f"expected an image that reaches {radii_mm[0] / max(pixels.pitch_mm):.4g} px from the "
-            f"centre of the star, where {cycles} cycles have 2 pixels each, got "
-            f"{radii_mm[1] / max(pixels.pitch_mm):.4g} px"
+            f"expected an image that reaches {radii_mm[0] / star.step_mm:.4g} px from the "
+            f"centre of the star, where {star.cycles} cycles have 2 pixels each, got "
+            f"{radii_mm[1] / star.step_mm:.4g} px"
         )
-    if radii_mm[1] > farthest_mm + max(pixels.pitch_mm):
+    if radii_mm[1] > farthest_mm + star.step_mm:
         raise ValueError(
             f"expected radii within the image, which ends {farthest_mm:.4g} mm from the centre "
             f"of the star, got {radii_mm[1]:.4g} mm"
         )
 
 
-def _find_center_px(
-    star: _Star, pixels: Pixels, radius_range_mm: tuple[float, float] | None
-) -> tuple[float, float]:
+def _find_center_px(star: _Star, radius_range_mm: Pair | None) -> Pair:
     """Refine the better of two starts: an odd star on an even disc turns into neither."""
 
-    def waves_about(start_px: tuple[float, float], row_mm: Floats, col_mm: Floats) -> Waves:
-        radii_mm = radius_range_mm or _default_range_mm(pixels, start_px, star.cycles)
-        return star.waves(row_mm, col_mm, radii_mm, pixels.pitch_mm)
+    def waves_about(start_px: Pair, row_mm: Floats, col_mm: Floats) -> Waves:
+        return star.waves(radius_range_mm or star.default_range_mm(start_px), row_mm, col_mm)
 
-    def energy(start_px: tuple[float, float]) -> float:
-        place_mm = pixels.place_mm(start_px)
-        _, fits = star.measure(pixels, waves_about(start_px, *place_mm), np.hypot(*place_mm))
+    def energy(start_px: Pair) -> float:
+        place_mm = star.pixels.place_mm(start_px)
+        _, fits = star.measure(waves_about(start_px, *place_mm), np.hypot(*place_mm))
         return sum(fit.count * fit.modulation**2 for fit in fits)
 
-    start_px = max(_starts_px(pixels), key=energy)
-    return known_phase.refine_center_px(pixels, start_px, partial(waves_about, start_px))
+    start_px = max(_starts_px(star.pixels), key=energy)
+    return known_phase.refine_center_px(star.pixels, start_px, partial(waves_about, start_px))
 
 
-def _starts_px(pixels: Pixels) -> list[tuple[float, float]]:
+def _starts_px(pixels: Pixels) -> list[Pair]:
     return [known_phase.symmetry_center_px(pixels, parity) for parity in (1, -1)]
 
 
-def _refuse_other_star(
-    pixels: Pixels, places_px: Sequence[tuple[float, float]], rim_mm: float, cycles: int
-) -> None:
+def _refuse_other_star(star: _Star, places_px: Sequence[Pair], rim_mm: float) -> None:
     """Refuse a star whose pixels wave with another number of cycles than was told.
 
     The phase of a star is the same at all radii: the outer half of the pixels, added up by their
     angle alone, is its wave, about the right one of some places for its centre.
     """
+    pixels, powers = star.pixels, []
     count = int(2.0 * np.pi * rim_mm / min(pixels.pitch_mm))  # as many angles as pixels at the rim
-    powers = []
     for place_px in places_px:
         row_mm, col_mm = pixels.place_mm(place_px)
         radius_mm = np.hypot(row_mm, col_mm)
@@ -289,19 +271,11 @@ def _refuse_other_star(
     power = np.max([one[: min(map(len, powers))] for one in powers], axis=0)
     power[:_FEWEST_CYCLES] = 0.0
     seen = int(np.argmax(power))
-    if seen != cycles:
-        raise ValueError(f"expected a star of {cycles} cycles, got one of {seen}")
+    if seen != star.cycles:
+        raise ValueError(f"expected a star of {star.cycles} cycles, got one of {seen}")
 
 
-def _default_range_mm(
-    pixels: Pixels, center_px: tuple[float, float], cycles: int
-) -> tuple[float, float]:
-    return cycles * max(pixels.pitch_mm) / np.pi, min(pixels.reach_mm(center_px))
-
-
-def _rim_mm(
-    star: _Star, pixels: Pixels, center_px: tuple[float, float], radii_mm: tuple[float, float]
-) -> float:
+def _rim_mm(star: _Star, center_px: Pair, radii_mm: Pair) -> float:
     """Return the outer radius of the star within a range of radii.
 
     Outside no wave of its spokes is seen: from the border inwards, rings are left out up to the
@@ -309,9 +283,8 @@ def _rim_mm(
     Where the outermost ring shows less than one two pixels farther in, of finer lines, that blur
     reaches it from a rim at the border.
     """
-    place_mm = pixels.place_mm(center_px)
-    waves = star.waves(*place_mm, radii_mm, pixels.pitch_mm)
-    rings_mm, fits = star.measure(pixels, waves, np.hypot(*place_mm))
+    place_mm = star.pixels.place_mm(center_px)
+    rings_mm, fits = star.measure(star.waves(radii_mm, *place_mm), np.hypot(*place_mm))
     waved = np.array([fit.modulation for fit in fits])
     if len(fits) <= _RIM_PX:
         return radii_mm[1]
@@ -319,20 +292,14 @@ def _rim_mm(
     less = inner.modulation - waved[0] > _SURE * np.hypot(inner.std, fits[0].std)
     if waved[0] >= 0.5 * waved.max() and not less:
         return radii_mm[1]
-    return float(rings_mm[np.argmax(waved >= 0.5 * waved.max())]) - _RIM_PX * max(pixels.pitch_mm)
+    return float(rings_mm[np.argmax(waved >= 0.5 * waved.max())]) - _RIM_PX * star.step_mm
 
 
 def _printed(
-    star: _Star,
-    pixels: Pixels,
-    waves: Waves,
-    radius_mm: Floats,
-    radii_mm: tuple[float, float],
-    *,
-    cut: bool,
+    star: _Star, waves: Waves, radius_mm: Floats, radii_mm: Pair, *, cut: bool
 ) -> tuple[Waves, Floats, list[HarmonicFit]]:
     """Return waves, radii and fits of the rings that show the star; `cut`: not of a disc in it."""
-    rings_mm, fits = star.measure(pixels, waves, radius_mm)
+    rings_mm, fits = star.measure(waves, radius_mm)
     if len(fits) < _MIN_RINGS:
         raise ValueError(
             f"expected at least {_MIN_RINGS} rings with enough valid pixels between "
@@ -357,9 +324,7 @@ def _sector(waves: Waves, angle_rad: Floats, half_rad: float) -> Waves:
     return replace(waves, ring=np.where(np.abs(away) < 1, waves.ring, -1), background=background)
 
 
-def _check_star(
-    cycles: int, profile: str, sectors: int, radii_mm: tuple[float, float] | None
-) -> None:
+def _check_star(cycles: int, profile: str, sectors: int, radii_mm: Pair | None) -> None:
     if cycles < _FEWEST_CYCLES:
         raise ValueError(f"expected a star of 5 cycles or more, got {cycles}")
     if profile not in ("sine", "square"):

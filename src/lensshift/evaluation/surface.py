@@ -88,16 +88,10 @@ def fit_plane(
     residual_m[used] = (points_m - center_m) @ normal
     inside_m = residual_m[used]
     noise_m = _local_noise_m(residual_m)
-    return PlaneFit(
-        normal=normal,
-        offset_m=float(normal @ center_m),
-        residual_m=residual_m,
-        rms_m=depth.rms(inside_m),
-        max_m=float(np.max(np.abs(inside_m))),
-        bias_rms_m=float(np.sqrt(max(0.0, depth.rms(inside_m) ** 2 - noise_m**2))),
-        noise_rms_m=noise_m,
-        count=int(np.count_nonzero(used)),
-    )
+    rms_m, max_m = depth.rms(inside_m), float(np.max(np.abs(inside_m)))
+    bias_m = float(np.sqrt(max(0.0, rms_m**2 - noise_m**2)))
+    offset_m = float(normal @ center_m)
+    return PlaneFit(normal, offset_m, residual_m, rms_m, max_m, bias_m, noise_m, inside_m.size)
 
 
 def flying_pixel_fraction(
@@ -203,8 +197,7 @@ def _off_fitted_m(
     """Return how far pixels are off the nearer of two planes around them, and the step; or NaN."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    off_m = np.full(measured_m.shape, np.nan)
-    step_m = np.full(measured_m.shape, np.nan)
+    off_m, step_m = np.full((2, *measured_m.shape), np.nan)
     known = np.isfinite(measured_m)
     size = 2 * reach + 1
     nearest_m = minimum_filter(np.where(known, measured_m, np.inf), size, mode="nearest")
@@ -216,11 +209,9 @@ def _off_fitted_m(
         top, left = max(0, row - reach), max(0, col - reach)
         window_m = measured_m[top : row + reach + 1, left : col + reach + 1]
         valid = np.isfinite(window_m)
-        values_m = window_m[valid]
-        smallest = float(smallest_m[row, col])
         place_px = np.argwhere(valid) - (row - top, col - left)
-        planes_m = _two_planes_m(place_px, values_m)
-        if planes_m is not None and planes_m[1] - planes_m[0] > smallest:
+        planes_m = _two_planes_m(place_px, window_m[valid])
+        if planes_m is not None and planes_m[1] - planes_m[0] > smallest_m[row, col]:
             off_m[row, col] = np.min(np.abs(measured_m[row, col] - planes_m))
             step_m[row, col] = planes_m[1] - planes_m[0]
     return off_m, step_m
@@ -238,12 +229,9 @@ def _two_planes_m(place_px: NDArray[np.int64], values_m: Floats) -> Floats | Non
         members = side & others
         if np.count_nonzero(members) < _MIN_SURFACE_PX:
             return None
-        planes_m.append(_plane_at_zero_m(place_px[members], values_m[members]))
+        own_px, own_m = place_px[members], values_m[members]
+        center_px, level_m = own_px.mean(axis=0), own_m.mean()
+        # Level along directions that the places do not span.
+        tilt = np.linalg.lstsq(own_px - center_px, own_m - level_m, rcond=None)[0]
+        planes_m.append(level_m - tilt @ center_px)
     return np.array(planes_m)
-
-
-def _plane_at_zero_m(place_px: NDArray[np.int64], values_m: Floats) -> float:
-    """Return a plane at place 0, level along the directions the places do not span."""
-    center_px = place_px.mean(axis=0)
-    tilt = np.linalg.lstsq(place_px - center_px, values_m - values_m.mean(), rcond=None)[0]
-    return float(values_m.mean() - tilt @ center_px)

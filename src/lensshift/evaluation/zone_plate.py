@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,10 +90,10 @@ def zone_plate_response(
     if not (np.isfinite(chirp_lpmm_per_mm) and chirp_lpmm_per_mm > 0):
         raise ValueError(f"expected a positive chirp in lp/mm per mm, got {chirp_lpmm_per_mm}")
     pixels = known_phase.list_pixels(image, pitch_mm, valid)
-    plate = _Plate(chirp_lpmm_per_mm, 0.5 / max(pixels.pitch_mm))
-    center = _find_center_px(plate, pixels) if center_px is None else center_px
+    plate = _Plate(pixels, chirp_lpmm_per_mm)
+    center = plate.found_center_px() if center_px is None else center_px
     place_mm, reach_mm = pixels.place_mm(center), pixels.reach_mm(center)
-    frequency_lpmm, fits = plate.measure(pixels, plate.waves(*place_mm, min(reach_mm)))
+    frequency_lpmm, fits = plate.measure(plate.waves(min(reach_mm), *place_mm))
     if len(fits) < _MIN_RINGS:
         raise ValueError(f"expected {_MIN_RINGS} or more valid rings of one cycle, got {len(fits)}")
     printed = known_phase.printed_count(frequency_lpmm, fits, _RIM_RINGS)
@@ -100,8 +101,8 @@ def zone_plate_response(
         frequency_lpmm, fits = frequency_lpmm[:printed], fits[:printed]
         rim_mm = float(frequency_lpmm[-1]) / chirp_lpmm_per_mm
         reach_mm = min(reach_mm[0], rim_mm), min(reach_mm[1], rim_mm)
-        problem = f"the wave ends {rim_mm:.4g} mm from the centre, taken for the rim of the plate"
-        warn_quality(problem)
+        told = f"the wave ends {rim_mm:.4g} mm from the centre, taken for the rim of the plate"
+        warn_quality(told)
     lowest = max(_MIN_RINGS, len(fits) // _LOW_SHARE)
     contrast = known_phase.contrast_at_zero(frequency_lpmm[:lowest], fits[:lowest], levels)
     known_phase.warn_if_out_of_step(fits, f"the chirp of {chirp_lpmm_per_mm:g}")
@@ -110,26 +111,31 @@ def zone_plate_response(
     for axis, name in enumerate(("zone plate, row", "zone plate, col")):
         waves = plate.wedge(place_mm, axis, reach_mm[axis])
         if lr_pitch_mm is None:
-            axes.append(known_phase.mtf_curve(*plate.measure(pixels, waves), contrast, name))
+            axes.append(known_phase.mtf_curve(*plate.measure(waves), contrast, name))
         else:
             lr_mm = pitch_pair_mm(lr_pitch_mm)[axis]
-            found = plate.measure_sides(pixels, waves, place_mm[axis], lr_mm)
-            axes.append(known_phase.mtf_curve(found[0], found[1], contrast, name))
-            folded.append(known_phase.mtf_curve(found[0], found[2], contrast, f"{name}, folded"))
+            found_lpmm, true, alias = plate.measure_sides(waves, place_mm[axis], lr_mm)
+            axes.append(known_phase.mtf_curve(found_lpmm, true, contrast, name))
+            folded.append(known_phase.mtf_curve(found_lpmm, alias, contrast, f"{name}, folded"))
     both = (folded[0], folded[1]) if folded else None
     return ZonePlateResult(radial, axes[0], axes[1], both, center, *contrast)
 
 
 @dataclass(frozen=True, slots=True)
 class _Plate:
+    pixels: Pixels
     chirp_lpmm_per_mm: float
-    highest_lpmm: float
 
-    def waves(self, row_mm: Floats, col_mm: Floats, reach_mm: float) -> Waves:
-        k = self.chirp_lpmm_per_mm
+    def found_center_px(self) -> tuple[float, float]:
+        start_px = known_phase.symmetry_center_px(self.pixels, parity=1)
+        waves = partial(self.waves, min(self.pixels.reach_mm(start_px)))
+        return known_phase.refine_center_px(self.pixels, start_px, waves)
+
+    def waves(self, reach_mm: float, row_mm: Floats, col_mm: Floats) -> Waves:
+        k, highest_lpmm = self.chirp_lpmm_per_mm, 0.5 / max(self.pixels.pitch_mm)
         cycles = k / 2 * (row_mm**2 + col_mm**2)
         ring = np.floor(cycles).astype(np.int64)
-        whole = np.floor(k / 2 * min(reach_mm, self.highest_lpmm / k) ** 2)
+        whole = np.floor(k / 2 * min(reach_mm, highest_lpmm / k) ** 2)
         return Waves(
             ring=np.where(ring < whole, ring, -1),
             phase_rad=2 * np.pi * cycles,
@@ -139,7 +145,7 @@ class _Plate:
 
     def wedge(self, place_mm: tuple[Floats, Floats], axis: int, reach_mm: float) -> Waves:
         """Return the waves near one axis only."""
-        waves = self.waves(*place_mm, reach_mm)
+        waves = self.waves(reach_mm, *place_mm)
         near = np.abs(place_mm[1 - axis]) <= np.abs(place_mm[axis]) * np.tan(_WEDGE_RAD)
         return replace(waves, ring=np.where(near, waves.ring, -1))
 
@@ -147,19 +153,17 @@ class _Plate:
         """Return the rms frequency of a ring: contrast falls with the square of the frequency."""
         return float(np.sqrt(self.chirp_lpmm_per_mm * phase_rad.mean() / np.pi))
 
-    def measure(self, pixels: Pixels, waves: Waves) -> tuple[Floats, list[HarmonicFit]]:
+    def measure(self, waves: Waves) -> tuple[Floats, list[HarmonicFit]]:
         found = {}
         for index in known_phase.ring_indices(waves.ring):
-            phase_rad = waves.phase_rad[index]
-            fit = known_phase.fit_harmonic(
-                pixels.values[index], waves.background[index], [phase_rad]
-            )
+            values, phase_rad = self.pixels.values[index], waves.phase_rad[index]
+            fit = known_phase.fit_harmonic(values, waves.background[index], [phase_rad])
             if fit is not None:
                 found[self.frequency_lpmm(phase_rad)] = fit
         return np.array([*found]), [*found.values()]
 
     def measure_sides(
-        self, pixels: Pixels, waves: Waves, along_mm: Floats, lr_pitch_mm: float
+        self, waves: Waves, along_mm: Floats, lr_pitch_mm: float
     ) -> tuple[Floats, list[HarmonicFit], list[HarmonicFit]]:
         """Fit the true and the folded wave together, each the mean of both sides."""
         found, true, folded = [], [], []
@@ -167,7 +171,7 @@ class _Plate:
             sides = []
             for side in (-1, 1):
                 index = ring[side * along_mm[ring] > 0]
-                values, constant = pixels.values[index], waves.background[index, :1]
+                values, constant = self.pixels.values[index], waves.background[index, :1]
                 rad = waves.phase_rad[index]
                 folded_rad = rad - side * 2 * np.pi * along_mm[index] / lr_pitch_mm
                 sides.append(known_phase.fit_harmonic(values, constant, [rad, folded_rad]))
@@ -183,11 +187,3 @@ class _Plate:
 def _mean_fit(one: HarmonicFit, other: HarmonicFit) -> HarmonicFit:
     modulation, std = (one.modulation + other.modulation) / 2, np.hypot(one.std, other.std) / 2
     return replace(one, modulation=modulation, std=float(std), count=one.count + other.count)
-
-
-def _find_center_px(plate: _Plate, pixels: Pixels) -> tuple[float, float]:
-    start_px = known_phase.symmetry_center_px(pixels, parity=1)
-    reach_mm = min(pixels.reach_mm(start_px))
-    return known_phase.refine_center_px(
-        pixels, start_px, lambda row, col: plate.waves(row, col, reach_mm)
-    )

@@ -73,9 +73,8 @@ class _Near(NamedTuple):
     def promise_bends(self, line: Vector, most: int) -> bool:
         """Tell whether bends explain, to first order, more than their number costs."""
         z, (splines, _, slope) = self.z, self._free(line)
-        columns = np.column_stack(
-            [splines, self._moves(np.append(line[:2], np.zeros(most)), slope)]
-        )
+        bent = np.append(line[:2], np.zeros(most))
+        columns = np.column_stack([splines, self._moves(bent, slope)])
         products, right, straight = columns.T @ columns, columns.T @ z, splines.shape[1] + 1
         rests = []
         for used in range(straight, straight + most + 1):

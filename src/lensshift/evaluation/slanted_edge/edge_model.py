@@ -108,10 +108,8 @@ def edge_response_transform(
     optics = (1.0 - tail.share) * np.exp(-2.0 * (np.pi * sigma_px * frequency_cpp) ** 2)
     turn = 2.0 * np.pi * tail.width_px * np.abs(frequency_cpp)
     optics += tail.share * (tail.slow * np.exp(-turn) + (1.0 - tail.slow) / (1.0 + turn**2))
-    side = aperture_px * frequency_cpp
-    transform: Vector = (
-        optics * np.sinc(side * np.cos(angle_rad)) * np.sinc(side * np.sin(angle_rad))
-    )
+    along, across = np.cos(angle_rad) * aperture_px, np.sin(angle_rad) * aperture_px
+    transform: Vector = optics * np.sinc(along * frequency_cpp) * np.sinc(across * frequency_cpp)
     return transform
 
 

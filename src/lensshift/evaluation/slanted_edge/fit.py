@@ -9,24 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import sici
 
+from lensshift.evaluation.slanted_edge import posterior, prepare
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
-from lensshift.evaluation.slanted_edge.gathering import EdgeSamples, Nodes, gather, nodes_for
-from lensshift.evaluation.slanted_edge.likelihood import Conditional, EdgeLikelihood
+from lensshift.evaluation.slanted_edge.gathering import EdgeSamples, gather, nodes_for
+from lensshift.evaluation.slanted_edge.likelihood import EdgeLikelihood
 from lensshift.evaluation.slanted_edge.lsf_prior import PLACE
 from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
-from lensshift.evaluation.slanted_edge.posterior import (
-    TYPICAL_STEPS,
-    Posterior,
-    descended,
-    drawn_around,
-    starting_point,
-)
-from lensshift.evaluation.slanted_edge.prepare import (
-    UprightEdge,
-    learn_noise,
-    slopes_across,
-    take_samples,
-)
+from lensshift.evaluation.slanted_edge.prepare import UprightEdge
 
 DRAWS = 256  # draws of the whole edge
 _ESF_HALF_WIDTH = 6.0  # of the printed profiles, in units of the edge's width
@@ -55,19 +44,33 @@ class EdgeFit:
     residual: Vector  # [n] pixels minus model, in units of the contrast
 
 
-def fit_edge(
-    edge: UprightEdge,
-    frequency_cpp: Vector,
-    *,
-    aperture_px: float,
-    tilt: bool | None,
-    seed: int,
-    noise_covariance: Matrix | None = None,
-) -> EdgeFit:
+@dataclass(frozen=True, slots=True)
+class LikelySettings:
+    """Options of the default method; see `measure_edges`."""
+
+    aperture_px: float
+    most_bends: int = 4
+    tilt: bool | None = None
+    noise_covariance: Matrix | None = None
+    jpeg_steps: Matrix | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.aperture_px) and 0.0 <= self.aperture_px <= 64.0):
+            raise ValueError(f"expected an aperture_px from 0 to 64, got {self.aperture_px}")
+        if self.most_bends not in range(9):
+            raise ValueError(f"expected whole most_bends from 0 to 8, got {self.most_bends}")
+        if self.tilt not in (None, True, False):
+            raise ValueError(f"expected tilt True, False or None, got {self.tilt!r}")
+        if self.seed != int(self.seed) or self.seed < 0:
+            raise ValueError(f"expected a whole seed from 0, got {self.seed}")
+
+
+def fit_edge(edge: UprightEdge, frequency_cpp: Vector, asked: LikelySettings) -> EdgeFit:
     """Fit an upright edge at frequencies [f], the first 0; what is None, the plateaus tell."""
-    noise, light = learn_noise(edge, tilt, noise_covariance)
+    noise, light = prepare.learn_noise(edge, asked.tilt, asked.noise_covariance)
     lights = [light]
-    if tilt is None and not light and slopes_across(edge):
+    if asked.tilt is None and not light and edge.slopes_across():
         lights.append(1)  # or a tail of the response, which the evidence tells
     sigma = max(noise.dark_sigma, edge.rounding.sigma)
     starts = [edge.geometry]
@@ -75,33 +78,27 @@ def fit_edge(
         straight = np.zeros_like(edge.geometry)
         straight[0] = edge.start_angle_rad
         starts.append(straight)
-    samples = [take_samples(edge, noise, aperture_px, one) for one in lights]
-    placed = [_placed(edge, s, sigma, aperture_px, one) for s in samples for one in starts]
+    side_px, seed = asked.aperture_px, asked.seed
+    samples = [prepare.take_samples(edge, noise, side_px, one) for one in lights]
+    placed = [_placed(edge, s, sigma, side_px, one) for s in samples for one in starts]
     _, likelihood, best = min(placed, key=lambda one: one[0] + _lighting(one[1]))
-    posterior = drawn_around(likelihood, best, seed)
-    parameters, levels, coefficients = _whole_draws(likelihood, posterior, seed)
+    drawn = posterior.drawn_around(likelihood, best, seed)
+    parameters, levels, coefficients = _whole_draws(likelihood, drawn, seed)
     gathered = likelihood.gathered
     curves = _Curves(likelihood, frequency_cpp, np.quantile(edge.normal_px, (_SEEN, 1.0 - _SEEN)))
     # The optimum follows the tail's law beyond the region, half of the draws only in part.
-    drawn = np.random.default_rng(seed + 1).uniform(-1.0, 1.0, parameters.shape[1] - 1)
-    missing = np.append(0.0, np.maximum(drawn, 0.0))
-    told = curves.of(parameters, levels[gathered.response], coefficients, missing)
-    transform, esf, lsf = (_widened(one, posterior.widening) for one in told)
-    factors = levels[:, 0], coefficients[:, 0]
-    return EdgeFit(
-        edge=edge,
-        noise=noise,
-        geometry=_widened(_moved(likelihood, parameters, levels), posterior.widening),
-        dark=float(levels[0, 0]),
-        contrast=float(
-            levels[gathered.response, 0] + likelihood.basis.area_px @ coefficients[:, 0]
-        ),
-        transform=transform,
-        normal_px=curves.normal_px,
-        esf=esf,
-        lsf=lsf,
-        residual=edge.scaled - likelihood.model_of(posterior.best, *factors),
+    shares = np.random.default_rng(seed + 1).uniform(-1.0, 1.0, parameters.shape[1] - 1)
+    missing = np.append(0.0, np.maximum(shares, 0.0))
+    told = (
+        _moved(likelihood, parameters, levels),
+        *curves.of(parameters, levels[gathered.response], coefficients, missing),
     )
+    geometry, transform, esf, lsf = (_widened(one, drawn.widening) for one in told)
+    factors = levels[:, 0], coefficients[:, 0]
+    height = levels[gathered.response, 0] + likelihood.basis.area_px @ coefficients[:, 0]
+    left = edge.scaled - likelihood.model_of(drawn.best, *factors)
+    dark, normal_px = float(levels[0, 0]), curves.normal_px
+    return EdgeFit(edge, noise, geometry, dark, float(height), transform, normal_px, esf, lsf, left)
 
 
 def _placed(
@@ -116,23 +113,23 @@ def _placed(
     farthest_px = float(np.max(np.abs(edge.normal_px))) + _SPARE_PX
     nodes = nodes_for(basis, unit_px, aperture_px, farthest_px)
     log_sigma = float(np.clip(np.log(edge.line.sigma_px / unit_px), -2.0, 1.5))
-    parameters = starting_point(log_sigma, noise)
-    slope = _gaussian(nodes, max(edge.line.sigma_px, 0.3 * aperture_px))
+    parameters = posterior.starting_point(log_sigma, noise)
+    slope_px = max(edge.line.sigma_px, 0.3 * aperture_px)
+    slope = np.exp(-0.5 * (nodes.place_px / slope_px) ** 2) / (np.sqrt(2.0 * np.pi) * slope_px)
     found: tuple[float, EdgeLikelihood, Vector]
     least, step, step_px = np.inf, np.zeros_like(geometry), np.zeros_like(geometry)
-    in_px, directions = np.ones_like(geometry), np.diag(TYPICAL_STEPS)
+    in_px, directions = np.ones_like(geometry), np.diag(posterior.TYPICAL_STEPS)
     in_px[:2] = samples.half_length_px, 0.0  # the base moves to any order
     for k in range(_MOST_PLACES):
-        likelihood = EdgeLikelihood(
-            gather(samples, nodes, geometry, slope), basis, aperture_px, unit_px
-        )
-        best, value, rounder = descended(likelihood, parameters, directions)
+        gathered = gather(samples, nodes, geometry, slope)
+        likelihood = EdgeLikelihood(gathered, basis, aperture_px, unit_px)
+        best, value, rounder = posterior.descended(likelihood, parameters, directions)
         if value < least + _WORSE:
-            known = _known(likelihood, best)
-            wanted = _moved(likelihood, best[:, None], known.levels[:, None])[:, 0]
+            levels, coefficients = _known(likelihood, best)
+            wanted = _moved(likelihood, best[:, None], levels[:, None])[:, 0]
             found, least, parameters = (value, likelihood, best), value, best
             directions = rounder
-            slope = _slope(likelihood, best, known)
+            slope = _slope(likelihood, best, levels, coefficients)
             if k == 0:  # the splines follow it once; an uneven shape would draw them on and on
                 parameters = best.copy()
                 parameters[PLACE] = 0.0
@@ -164,19 +161,17 @@ def _moved(likelihood: EdgeLikelihood, parameters: Matrix, levels: Matrix) -> Ma
     return np.asarray(gathered.geometry[:, None] + np.vstack([turned[:1], place_px, turned[1:]]))
 
 
-def _known(likelihood: EdgeLikelihood, parameters: Vector) -> Conditional:
+def _known(likelihood: EdgeLikelihood, parameters: Vector) -> tuple[Vector, Vector]:
+    """Return the most likely levels (of fixed columns first) and coefficients."""
     found = likelihood.solved(parameters)
     if found is None:
         raise ValueError("expected an edge that a Gaussian or a spline describes; the fit failed")
-    return likelihood.conditional(found)
+    return found.levels, likelihood.coefficients(found)
 
 
-def _gaussian(nodes: Nodes, sigma_px: float) -> Vector:
-    places = nodes.place_px / sigma_px
-    return np.asarray(np.exp(-0.5 * places**2) / (np.sqrt(2.0 * np.pi) * sigma_px))
-
-
-def _slope(likelihood: EdgeLikelihood, parameters: Vector, found: Conditional) -> Vector:
+def _slope(
+    likelihood: EdgeLikelihood, parameters: Vector, levels: Vector, coefficients: Vector
+) -> Vector:
     """Return the LSF at the nodes, its base moved back to the middle."""
     nodes, response = likelihood.gathered.nodes, likelihood.gathered.response
     half_px, back = 0.5 * _ESF_STEP * likelihood.unit_px, parameters.copy()
@@ -184,25 +179,23 @@ def _slope(likelihood: EdgeLikelihood, parameters: Vector, found: Conditional) -
     ahead = likelihood.base.response(nodes.place_px + half_px, back)
     behind = likelihood.base.response(nodes.place_px - half_px, back)
     base = (ahead - behind) / (2.0 * half_px)
-    return np.asarray(found.levels[response] * base + nodes.values @ found.coefficients)
+    return np.asarray(levels[response] * base + nodes.values @ coefficients)
 
 
 def _whole_draws(
-    likelihood: EdgeLikelihood, posterior: Posterior, seed: int
+    likelihood: EdgeLikelihood, drawn: posterior.Posterior, seed: int
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Return parameters, levels and coefficients: column 0 the optimum, the others draws."""
     rng = np.random.default_rng(seed)
     # Systematic resampling: as many draws from each proposal as its weight says.
     places = (np.arange(DRAWS) + rng.random()) / DRAWS
-    chosen = np.minimum(
-        np.searchsorted(np.cumsum(posterior.weights), places), posterior.weights.size - 1
-    )
-    chosen = chosen[[posterior.found[k] is not None for k in chosen]]
+    chosen = np.searchsorted(np.cumsum(drawn.weights), places)
+    chosen = np.minimum(chosen, drawn.weights.size - 1)
+    chosen = chosen[[drawn.found[k] is not None for k in chosen]]
     kept, counts = np.unique(chosen, return_counts=True)
-    best = _known(likelihood, posterior.best)
-    points = [one for k in kept if (one := posterior.found[k]) is not None]
-    draws = posterior.draws[chosen].T, *likelihood.drawn(points, counts.tolist(), rng)
-    optimum = posterior.best, best.levels, best.coefficients
+    points = [one for k in kept if (one := drawn.found[k]) is not None]
+    draws = drawn.draws[chosen].T, *likelihood.drawn(points, counts.tolist(), rng)
+    optimum = drawn.best, *_known(likelihood, drawn.best)
     whole = [np.column_stack(both) for both in zip(optimum, draws, strict=True)]
     return whole[0], whole[1], whole[2]
 
@@ -232,9 +225,9 @@ class _Curves:
         self._beyond = np.stack([_beyond(frequency_cpp, abs(end)) for end in ends_px.tolist()])
         basis = likelihood.basis
         reach = round(_ESF_HALF_WIDTH / _ESF_STEP)
-        half = np.arange(-2 * reach - 1, 2 * reach + 2) * 0.5 * _ESF_STEP * likelihood.unit_px
-        self._half_steps_px: Vector = np.asarray(half, dtype=np.float64)
-        self.normal_px: Vector = self._half_steps_px[1::2]
+        half = np.arange(-2 * reach - 1.0, 2 * reach + 2.0) * 0.5 * _ESF_STEP * likelihood.unit_px
+        self._half_steps_px: Vector = np.asarray(half)
+        self.normal_px = self._half_steps_px[1::2]
         self._even, self._odd = basis.transforms(frequency_cpp)
         self._integrals = basis.integrals(self.normal_px)
         self._values = basis.values(self.normal_px)

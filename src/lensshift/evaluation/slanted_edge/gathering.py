@@ -45,20 +45,6 @@ class EdgeSamples:
         """Return the signed distance of each pixel from the edge."""
         return distance_px(self.across_px, self.along_px, geometry, self.half_length_px)
 
-    def turn_px(self, angle_rad: float) -> Vector:
-        """Return the slope of that distance by the angle of the edge."""
-        return np.asarray(self.along_px * np.cos(angle_rad) - self.across_px * np.sin(angle_rad))
-
-    def powers(self, highest: int) -> Matrix:
-        """Return [n k]: Legendre polynomials 0 to `highest` of the place along the edge."""
-        place = self.along_px / self.half_length_px
-        return np.asarray(np.polynomial.legendre.legvander(place, highest))
-
-    @property
-    def bend_spread_px(self) -> float:
-        """Prior standard deviation of the bending terms."""
-        return _BENDING_SHARE * self.half_length_px
-
 
 def distance_px(
     across_px: Vector, along_px: Vector, geometry: Vector, half_length_px: float
@@ -188,7 +174,9 @@ def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) 
     """Return the sums about one geometry; pixels change by the LSF [g] as the edge turns."""
     normal_px = samples.normal_px(geometry)
     pixels = nodes.between(normal_px)
-    powers = samples.powers(max(geometry.size - 1, samples.light))
+    place = samples.along_px / samples.half_length_px
+    highest = max(geometry.size - 1, samples.light)
+    powers: Matrix = np.asarray(np.polynomial.legendre.legvander(place, highest))
     across = nodes.place_px / nodes.place_px[-1]
     fixed = _fixed(samples, geometry, pixels.of(slope), powers, normal_px / nodes.place_px[-1])
     seen = _seen(across, samples.light)
@@ -215,25 +203,14 @@ def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) 
     sums = right.T @ right
     precision, centre = np.zeros(fixed.shape[1]), np.zeros(fixed.shape[1])
     bends = slice(2, geometry.size)
-    precision[bends], centre[bends] = samples.bend_spread_px**-2.0, -geometry[2:]
+    precision[bends] = (_BENDING_SHARE * samples.half_length_px) ** -2.0
+    centre[bends] = -geometry[2:]
     return Gathered(
-        geometry=geometry,
-        nodes=nodes,
-        pixels=pixels,
-        fixed=fixed,
-        powers=powers,
-        seen=seen,
-        count=samples.unlike * len(right),
-        squares=float(sums[-1, -1]),
-        fixed_values=sums[:-1, -1],
-        fixed_fixed=sums[:-1, :-1],
-        splines=node_sums[0] @ nodes.integrals,
-        node_sums=node_sums,
-        node_node=products,
-        reach=reach,
-        precision=precision,
-        centre=centre,
-    )
+        geometry, nodes, pixels, fixed, powers, seen, count=samples.unlike * len(right),
+        squares=float(sums[-1, -1]), fixed_values=sums[:-1, -1], fixed_fixed=sums[:-1, :-1],
+        splines=node_sums[0] @ nodes.integrals, node_sums=node_sums, node_node=products,
+        reach=reach, precision=precision, centre=centre,
+    )  # fmt: skip
 
 
 def _seen(across: Vector, light: int) -> tuple[Seen, ...]:
@@ -250,7 +227,8 @@ def _seen(across: Vector, light: int) -> tuple[Seen, ...]:
 def _fixed(
     samples: EdgeSamples, geometry: Vector, slope: Vector, powers: Matrix, across: Vector
 ) -> Matrix:
-    columns = [np.ones_like(slope), slope * samples.turn_px(float(geometry[0]))]
+    turn_px = samples.along_px * np.cos(geometry[0]) - samples.across_px * np.sin(geometry[0])
+    columns = [np.ones_like(slope), slope * turn_px]
     columns += [-slope * powers[:, k] for k in range(2, geometry.size)]
     if samples.light:
         columns += [across, powers[:, 1]]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector, core_slopes
@@ -34,21 +35,21 @@ class EdgeLine:
 
 def find_edge(x_px: Vector, y_px: Vector, values: Vector, aperture_px: float) -> EdgeLine:
     """Find the straight edge that splits n pixels at x, y best, and fit it; ValueError if none."""
+    keep: NDArray[np.intp] | slice = slice(None)
     if values.size > _MOST_PIXELS:
         keep = np.random.default_rng(0).choice(values.size, _MOST_PIXELS, replace=False)
-        angle_rad, position_px = _best_split(x_px[keep], y_px[keep], values[keep])
-    else:
-        angle_rad, position_px = _best_split(x_px, y_px, values)
-    near = np.abs(x_px * np.cos(angle_rad) + y_px * np.sin(angle_rad) - position_px) < _NEAR_PX
+    explained, angle_rad, position_px = _best_step(x_px[keep], y_px[keep], values[keep])
+    if np.ptp(values[keep]) == 0.0 or explained <= 0.0:
+        raise ValueError("expected an edge between two levels, got a flat region")
+    reach_px = _NEAR_PX
     for _ in range(2):  # a blurred edge needs a wider strip
-        some = np.flatnonzero(near)
+        distance_px = x_px * np.cos(angle_rad) + y_px * np.sin(angle_rad) - position_px
+        some = np.flatnonzero(np.abs(distance_px) < reach_px)
         some = some[:: max(1, -(-some.size // _MOST_NEAR))]
         line = _refined(x_px[some], y_px[some], values[some], angle_rad, position_px, aperture_px)
-        angle_rad, position_px = line.angle_rad, line.position_px
+        angle_rad, position_px, reach_px = line.angle_rad, line.position_px, 5 * line.sigma_px
         if line.sigma_px < _NEAR_PX / 4:
             break
-        distance_px = x_px * np.cos(angle_rad) + y_px * np.sin(angle_rad) - position_px
-        near = np.abs(distance_px) < 5 * line.sigma_px
     return line
 
 
@@ -63,14 +64,6 @@ def explained_share(
         return _best_step(x_px, y_px, values)[0] / variance
     near = near_rad + _ANGLE_STEP_RAD * np.arange(1 - _COARSE, _COARSE)
     return max(_steps(x_px, y_px, values - values.mean(), near))[0] / variance
-
-
-def _best_split(x_px: Vector, y_px: Vector, values: Vector) -> tuple[float, float]:
-    """Return the line (angle, position) that explains most of the variance as two levels."""
-    explained, angle_rad, position_px = _best_step(x_px, y_px, values)
-    if np.ptp(values) == 0.0 or explained <= 0.0:
-        raise ValueError("expected an edge between two levels, got a flat region")
-    return angle_rad, position_px
 
 
 def _best_step(x_px: Vector, y_px: Vector, values: Vector) -> tuple[float, float, float]:
@@ -114,7 +107,6 @@ def _refined(
     aperture_px: float,
 ) -> EdgeLine:
     """Fit angle, position and log width, the levels eliminated."""
-
     ones = np.ones_like(values)
 
     @lru_cache(maxsize=1)  # residuals and slopes are asked for at the same place
@@ -155,8 +147,7 @@ def _refined(
         ftol=_SETTLED,
         xtol=_SETTLED,
         max_nfev=40,
-    )
-    dark, contrast = seen(*fit.x)[2].tolist()
-    return EdgeLine(
-        float(fit.x[0]), float(fit.x[1]), float(np.exp(fit.x[2])), dark, dark + contrast
-    )
+    ).x
+    angle_rad, position_px, log_sigma = fit.tolist()
+    dark, contrast = seen(*fit)[2].tolist()
+    return EdgeLine(angle_rad, position_px, float(np.exp(log_sigma)), dark, dark + contrast)

@@ -10,43 +10,22 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from lensshift.evaluation.slanted_edge import lsf_prior, matrix_kernels
-from lensshift.evaluation.slanted_edge.edge_model import (
-    BaseModel,
-    Matrix,
-    SeenBase,
-    SplineBasis,
-    Vector,
-)
+from lensshift.evaluation.slanted_edge.edge_model import BaseModel, SeenBase, SplineBasis
 from lensshift.evaluation.slanted_edge.gathering import Gathered
 from lensshift.evaluation.slanted_edge.kernels import across_nodes
 from lensshift.evaluation.slanted_edge.lsf_prior import BASE_HYPERS, HYPERS
+from lensshift.evaluation.slanted_edge.result import Matrix, Vector
 
 # No edge follows the model to all digits; below this share of the contrast, noise is not told
 # from it.
 MODEL_ERROR = 1e-4
-_NOISE_SPREAD = 3.0  # of the log noise around 1 % of the contrast
+_LOG_NOISE = (np.log(0.01), 3.0)  # mean and standard deviation; of the noise over the contrast
 _LOG_NOISE_BOUNDS = (np.log(0.3 * MODEL_ERROR), 1.0)
 # Behind a bound the posterior falls as a normal distribution: a cliff would stop the descent
 # before its foot and leave no curvature to draw from.
 _WALL = 0.05
 IMPOSSIBLE = 1e10
 _ROUNDING = 1e-14  # of sums over pixels
-
-
-@dataclass(frozen=True, slots=True)
-class Conditional:
-    """The likeliest levels (of the columns of `Gathered`, fixed ones first) and coefficients."""
-
-    levels: Vector
-    coefficients: Vector
-
-
-@dataclass(frozen=True, slots=True)
-class _Told:
-    """What the pixels tell of the heights H of the splines: H^T H = R^T R, both with a band."""
-
-    factor: Matrix  # [j j] R^T
-    band: Matrix  # [m j] its diagonals, the main one first
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +56,11 @@ class _Explained:
 class _Moments:
     """The design and its cross products: X are the levels, H the heights, y the pixels.
 
-    `base` is what the nodes see of the base model, `seen` [s g] the columns that follow it,
-    `across` [k s g] what the pixels times their factor k see of these, `gram` is [X y]^T [X y],
-    `heights` [X y]^T H.
+    `base` is what the nodes see of the base model, `across` [k s g] what the pixels times their
+    factor k see of the columns that follow it, `gram` is [X y]^T [X y], `heights` [X y]^T H.
     """
 
     base: SeenBase
-    seen: Matrix
     across: NDArray[np.float64]
     gram: Matrix
     heights: Matrix
@@ -126,12 +103,9 @@ class EdgeLikelihood:
         self.unit_px = unit_px
         self.base = BaseModel(float(gathered.geometry[0]), aperture_px, unit_px)
         self._prior = lsf_prior.SplinePrior(basis, unit_px)
-        self._bounds = (
-            np.append(lsf_prior.HYPER_BOUNDS[:, 0], _LOG_NOISE_BOUNDS[0]),
-            np.append(lsf_prior.HYPER_BOUNDS[:, 1], _LOG_NOISE_BOUNDS[1]),
-        )
-        self._mean = np.append(lsf_prior.HYPER_PRIOR[:, 0], np.log(0.01))
-        self._precision = np.append(lsf_prior.HYPER_PRIOR[:, 1], _NOISE_SPREAD) ** -2.0
+        self._bounds = np.vstack([lsf_prior.HYPER_BOUNDS, _LOG_NOISE_BOUNDS]).T
+        self._mean, spread = np.vstack([lsf_prior.HYPER_PRIOR, _LOG_NOISE]).T
+        self._precision = spread**-2.0
         knots, fixed = basis.size, gathered.response
         size = fixed + len(gathered.seen)
         self._levels_precision, self._levels_centre = np.zeros(size), np.zeros(size)
@@ -143,7 +117,8 @@ class EdgeLikelihood:
         self._node_sums = [
             np.vstack([by_heights(sums[:knots]), sums[knots:]]) for sums in gathered.node_sums
         ]
-        self._pixels = _told(by_heights(by_heights(gathered.splines[:knots]).T))
+        # What the pixels tell of the heights H of the splines: H^T H = R^T R, R^T with a band.
+        self._factor, self._band = _told(by_heights(by_heights(gathered.splines[:knots]).T))
         # What no parameter changes of the cross products.
         fixed_heights = by_heights(gathered.splines[knots:].T).T
         self._heights = np.zeros((size + 1, knots))
@@ -161,10 +136,10 @@ class EdgeLikelihood:
         """Number of parameters."""
         return HYPERS + 1
 
-    def conditional(self, found: Solution) -> Conditional:
-        """Return the most likely levels and coefficients at a point."""
+    def coefficients(self, found: Solution) -> Vector:
+        """Return the most likely coefficients at a point."""
         seen = found.explained.followed(found.left, self._misfit(found))
-        return Conditional(found.levels, self._prior.coefficients(self._heights_of(seen)))
+        return self._prior.coefficients(self._heights_of(seen))
 
     def drawn(
         self, found: Sequence[Solution], counts: Sequence[int], rng: np.random.Generator
@@ -181,7 +156,7 @@ class EdgeLikelihood:
             grain.append(np.sqrt(one.explained.variance) * rng.standard_normal((knots, count)))
         shapes = np.repeat([one.allowed[BASE_HYPERS:HYPERS] for one in found], counts, axis=0)
         heights = self._prior.drawn(shapes, np.vstack(white))
-        seen = np.split(self._pixels.factor.T @ heights + np.hstack(grain), np.cumsum(counts), 1)
+        seen = np.split(self._factor.T @ heights + np.hstack(grain), np.cumsum(counts), 1)
         missing = []
         for one, level, part in zip(found, levels, seen[:-1], strict=True):
             shown = one.explained.shown
@@ -224,18 +199,17 @@ class EdgeLikelihood:
             gram[own, :fixed] = gram[:fixed, own] = sums[knots:-1]
             gram[own, -1] = gram[-1, own] = sums[-1]
             gram[own, fixed:-1] = across[one.power] @ seen[k]
-        return _Moments(base, seen, across, gram, heights)
+        return _Moments(base, across, gram, heights)
 
     def solved(self, parameters: Vector) -> Solution | None:
         """Return what the pixels say at a point, None where nothing can."""
-        knots, told = self.basis.size, self._pixels
-        allowed = self.bounded(parameters)
+        knots, allowed = self.basis.size, self.bounded(parameters)
         variance = float(np.exp(2.0 * allowed[-1])) + MODEL_ERROR**2
         m = self._moments(allowed)
         covariance = self._prior.covariance(allowed[BASE_HYPERS:HYPERS])
         factor = np.empty((knots + len(m.heights), knots))
-        matrix_kernels.within(told.band, covariance, variance, factor)
-        matrix_kernels.band_solved(told.band, m.heights)
+        matrix_kernels.within(self._band, covariance, variance, factor)
+        matrix_kernels.band_solved(self._band, m.heights)
         # LAPACK counts along columns: it sees the transposed matrix.
         upper, failed = lapack.dpotrf(factor[:knots].T, lower=0, clean=0, overwrite_a=1)
         if failed:
@@ -260,7 +234,7 @@ class EdgeLikelihood:
 
     def _heights_of(self, seen: NDArray[np.float64]) -> Matrix:
         """Return heights [j ...] as R sees them."""
-        return _solve(self._pixels.factor, seen, transposed=True)
+        return _solve(self._factor, seen, transposed=True)
 
     def _misfit(self, found: Solution) -> Vector:
         """Return S^-1 times what the levels leave of the pixels."""
@@ -279,7 +253,7 @@ class EdgeLikelihood:
         with the prior and the noise, and by sum over pixels (C^-1 X D - C^-1 r b^T) dX with the
         design, D the covariance of the levels.
         """
-        g, knots, told, one = self.gathered, self.basis.size, self._pixels, found.explained
+        g, knots, one = self.gathered, self.basis.size, found.explained
         variance, lower = one.variance, one.factor[:knots]
         tops = _solve(found.levels_factor, np.eye(found.levels.size))
         covariance = tops.T @ tops
@@ -292,7 +266,7 @@ class EdgeLikelihood:
         gradient[:BASE_HYPERS] += self._by_base(found, covariance, levels, left)
         matrix_kernels.downdated(inverse, np.vstack([tops @ levels, left]))
         by_covariance = np.empty((knots, knots))
-        matrix_kernels.around(told.band, inverse, by_covariance)
+        matrix_kernels.around(self._band, inverse, by_covariance)
         gradient[BASE_HYPERS:HYPERS] += 0.5 * self._prior.gradient(
             found.allowed[BASE_HYPERS:HYPERS], by_covariance
         )
@@ -326,8 +300,11 @@ class EdgeLikelihood:
         return np.asarray(slopes @ to_response / one.variance)
 
 
-def _told(squares: Matrix) -> _Told:
-    """Return the factor of H^T H, in which what is but rounding counts as nothing."""
+def _told(squares: Matrix) -> tuple[Matrix, Matrix]:
+    """Return the factor [j j] of H^T H and its diagonals [m j], the main one first.
+
+    What is but rounding counts as nothing.
+    """
     # All heights together raise a pixel by 1: the sum counts pixels, and differences are left.
     for ridge in _ROUNDING * float(squares.sum()) * 10.0 ** np.arange(6):
         lower = np.where(np.abs(squares) < ridge, 0.0, squares)
@@ -336,7 +313,7 @@ def _told(squares: Matrix) -> _Told:
         if factor is not None:
             reach = int(np.max(np.subtract(*np.nonzero(factor))))
             diagonals = [np.pad(factor.diagonal(-m), (0, m)) for m in range(reach + 1)]
-            return _Told(np.ascontiguousarray(factor), np.stack(diagonals))
+            return np.ascontiguousarray(factor), np.stack(diagonals)
     raise ValueError("expected pixels that tell the response of an edge, got none")
 
 

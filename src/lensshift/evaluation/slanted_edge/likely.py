@@ -2,53 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.slanted_edge import result as numbers
 from lensshift.evaluation.slanted_edge.bending import rms_bend_px
 from lensshift.evaluation.slanted_edge.checks import displacement_px, doubted, largest_phase_gap_px
 from lensshift.evaluation.slanted_edge.compression import lost_std, with_losses
-from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
-from lensshift.evaluation.slanted_edge.fit import EdgeFit, fit_edge
+from lensshift.evaluation.slanted_edge.edge_model import Vector
+from lensshift.evaluation.slanted_edge.fit import EdgeFit, LikelySettings, fit_edge
 from lensshift.evaluation.slanted_edge.prepare import EdgeFrames, UprightEdge
-from lensshift.evaluation.slanted_edge.result import (
-    EdgeResult,
-    Interval,
-    Profile,
-    Region,
-    interval_of,
-    numbers_of,
-    steps_to,
-)
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, Profile, Region
 from lensshift.evaluation.slanted_edge.screening import screened
 
-_GRID = np.arange(151) * 0.01  # cycles per unit width, for the crossings
+_GRID: Vector = np.asarray(np.arange(151) * 0.01)  # cycles per unit width, for the crossings
 _FEWEST_ASIDE = 20  # pixels on either side of the edge
-
-
-@dataclass(frozen=True, slots=True)
-class LikelySettings:
-    """Options of the default method; see `measure_edges`."""
-
-    aperture_px: float
-    most_bends: int = 4
-    tilt: bool | None = None
-    noise_covariance: Matrix | None = None
-    jpeg_steps: Matrix | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.aperture_px) and 0.0 <= self.aperture_px <= 64.0):
-            raise ValueError(f"expected an aperture_px from 0 to 64, got {self.aperture_px}")
-        if self.most_bends not in range(9):
-            raise ValueError(f"expected whole most_bends from 0 to 8, got {self.most_bends}")
-        if self.tilt not in (None, True, False):
-            raise ValueError(f"expected tilt True, False or None, got {self.tilt!r}")
-        if self.seed != int(self.seed) or self.seed < 0:
-            raise ValueError(f"expected a whole seed from 0, got {self.seed}")
 
 
 def measure_likely(
@@ -62,27 +33,16 @@ def measure_likely(
     pitch_mm = frames.normal_pitch_mm(float(edge.geometry[0]), edge.vertical)
     frequency_lpmm = frames.frequency_lpmm(wanted_lpmm)
     nyquist_cpp = 0.5 * pitch_mm / (frames.scale * max(frames.pitch_mm))
-    blocks = (
-        np.asarray(_GRID / edge.unit_px, dtype=np.float64),
-        steps_to(nyquist_cpp),
-        frequency_lpmm * pitch_mm,
-    )
-    fit = fit_edge(
-        edge,
-        np.concatenate(blocks),
-        aperture_px=settings.aperture_px,
-        tilt=settings.tilt,
-        seed=settings.seed,
-        noise_covariance=settings.noise_covariance,
-    )
+    blocks = _GRID / edge.unit_px, numbers.steps_to(nyquist_cpp), frequency_lpmm * pitch_mm
+    fit = fit_edge(edge, np.concatenate(blocks), settings)
     if settings.jpeg_steps is not None:
         fit = _with_losses(fit, np.concatenate(blocks), settings)
     result = _result(fit, region, frames, blocks, frequency_lpmm, pitch_mm)
     lines = _lines(edge)
     gap_px = largest_phase_gap_px(lines, float(edge.geometry[0]))
     count = np.unique(np.round(lines, 6)).size
-    apart_px = _moves_px(fit, fit.edge.pixels.places[:, 0])
-    return doubted(result, count, gap_px, fit.edge.pixels.values, out, apart_px)
+    apart_px = _moves_px(fit, edge.pixels.places[:, 0])
+    return doubted(result, count, gap_px, edge.pixels.values, out, apart_px)
 
 
 def _with_losses(fit: EdgeFit, frequency_cpp: Vector, settings: LikelySettings) -> EdgeFit:
@@ -117,12 +77,15 @@ def _result(
     noise = max(level_noise / fit.contrast, float(np.finfo(float).tiny))
     span = edge.line.high - edge.line.low
     dark, bright = edge.line.low + span * np.array([fit.dark, fit.dark + fit.contrast])
+    residual = np.full(region.shape, np.nan)  # of the first frame
+    frame, row, col = edge.pixels.places.T
+    residual[row[frame == 0], col[frame == 0]] = fit.residual[frame == 0]
     return EdgeResult(
-        **numbers_of(blocks[0], grid, to_nyquist, fit.normal_px, fit.esf, pitch_mm),
+        **numbers.numbers_of(blocks[0], grid, to_nyquist, fit.normal_px, fit.esf, pitch_mm),
         method="ml",
         region=region,
         orientation="vertical" if edge.vertical else "horizontal",
-        angle_rad=interval_of(edge.sign * fit.geometry[0]),
+        angle_rad=numbers.interval_of(edge.sign * fit.geometry[0]),
         position_px=_position(fit, region),
         bend_px=rms_bend_px(fit.geometry[:, 0]),
         dark=float(dark),
@@ -135,7 +98,7 @@ def _result(
         nyquist_lpmm=0.5 / (frames.scale * max(frames.pitch_mm)),
         esf=Profile(fit.normal_px, fit.esf[:, 0], fit.esf[:, 1:].std(axis=1)),
         lsf=Profile(fit.normal_px, fit.lsf[:, 0], fit.lsf[:, 1:].std(axis=1)),
-        residual=_residual_image(fit, region),
+        residual=residual,
         aliasing_px=_aliasing_px(fit, frames.scale),
         asymmetry=_asymmetry(fit),
         pitch_mm=pitch_mm,
@@ -150,16 +113,7 @@ def _position(fit: EdgeFit, region: Region) -> Interval:
     angle_rad, rho_px, *bends_px = fit.geometry
     bends = np.polynomial.legendre.legval(0.0, [0.0, 0.0, *(bend[0] for bend in bends_px)])
     across_px = (rho_px + bends) / np.cos(angle_rad) + origin_px
-    return interval_of(middle_px + edge.sign * across_px)
-
-
-def _residual_image(fit: EdgeFit, region: Region) -> NDArray[np.float64]:
-    """Return the residuals of the first frame [row col]."""
-    image = np.full(region.shape, np.nan)
-    frame, row, col = fit.edge.pixels.places.T
-    first = frame == 0
-    image[row[first], col[first]] = fit.residual[first]
-    return image
+    return numbers.interval_of(middle_px + edge.sign * across_px)
 
 
 def _aliasing_px(fit: EdgeFit, scale: int) -> float:
@@ -183,7 +137,7 @@ def _asymmetry(fit: EdgeFit) -> Interval:
     at = np.clip((2.0 * middle[:, None] - place - place[0]) / step_px, 0.0, place.size - 1.0)
     mirrored = np.take_along_axis(values, np.rint(at).astype(np.intp), axis=1)
     odd = 0.5 * np.max(np.abs(values + mirrored - 1.0), axis=1)
-    return interval_of(odd)
+    return numbers.interval_of(odd)
 
 
 def _lines(edge: UprightEdge) -> Vector:
@@ -191,10 +145,9 @@ def _lines(edge: UprightEdge) -> Vector:
     frame, row, col = edge.pixels.places.T
     steps = (row, col) if edge.vertical else (col, row)
     first = np.zeros(frame.max() + 1)
-    across = edge.sign * edge.across_px - steps[1]
-    first[frame] = across
+    first[frame] = edge.sign * edge.across_px - steps[1]
     slope = np.tan(edge.geometry[0])
     shifted: Vector = edge.along_px
     if abs(slope) > 1e-6:
-        shifted = edge.along_px + edge.sign * (first[frame] - first[0]) / slope
+        shifted = shifted + edge.sign * (first[frame] - first[0]) / slope
     return np.unique(np.round(shifted, 9))

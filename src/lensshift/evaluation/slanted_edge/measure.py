@@ -13,7 +13,8 @@ from lensshift.core.errors import warn_quality
 from lensshift.core.linear_algebra import one_thread
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge.compression import steps_of
-from lensshift.evaluation.slanted_edge.likely import LikelySettings, measure_likely
+from lensshift.evaluation.slanted_edge.fit import LikelySettings
+from lensshift.evaluation.slanted_edge.likely import measure_likely
 from lensshift.evaluation.slanted_edge.prepare import EdgeFrames, take_frames
 from lensshift.evaluation.slanted_edge.regions import find_regions
 from lensshift.evaluation.slanted_edge.result import EdgeResult, Region, average_curves

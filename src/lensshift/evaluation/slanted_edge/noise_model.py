@@ -74,21 +74,17 @@ class NoiseModel:
         order = max(self.order, 0 if self.near is None else self.near.order)
         if order == 0:
             return scaled.tocsr()
-        index = _index_of(places)
-        sites = np.arange(len(places))
-        found = _look_up(index, places, _half_plane(order))
+        found = _look_up(_index_of(places), places, _half_plane(order))
         whole = np.all(found >= 0, axis=1)
-        taps = np.hstack([sites[whole, None], found[whole]])
+        taps = np.hstack([np.flatnonzero(whole)[:, None], found[whole]])
         factors = np.tile(_widened(self.order, self.prediction, order), (len(taps), 1))
         if self.near is not None:
             close = np.abs(normal_px[whole]) < _NEAR_PX
             own = _widened(self.near.order, self.near.prediction, order)
             factors[close] = own / np.sqrt(self.near.innovation)
         rows = np.repeat(np.arange(len(taps)), taps.shape[1])
-        shape = (len(taps), len(places))
-        return (
-            sparse.csr_array((factors.ravel(), (rows, taps.ravel())), shape=shape) @ scaled
-        ).tocsr()
+        shape, entries = (len(taps), len(places)), (factors.ravel(), (rows, taps.ravel()))
+        return (sparse.csr_array(entries, shape=shape) @ scaled).tocsr()
 
 
 def _widened(order: int, prediction: Vector, wanted: int) -> Vector:
@@ -213,9 +209,10 @@ def estimate_noise(residual: Vector, places: NDArray[np.intp], sides: list[Mask]
 
 def _by_distance(values: Vector, normal_px: Vector) -> tuple[Vector, NDArray[np.intp]]:
     """Return sums of squares [b], and counts, in steps of the distance from the edge."""
-    number = np.minimum(np.abs(normal_px) / _NEAR_STEP_PX, _NEAR_STEPS).astype(np.intp)
-    sums = np.bincount(number, values**2, minlength=_NEAR_STEPS + 1).astype(np.float64)
-    return sums, np.bincount(number, minlength=_NEAR_STEPS + 1)
+    number, bins = (np.abs(normal_px) / _NEAR_STEP_PX).astype(np.intp), _NEAR_STEPS + 1
+    number = np.minimum(number, _NEAR_STEPS)
+    sums = np.bincount(number, values**2, minlength=bins).astype(np.float64)
+    return sums, np.bincount(number, minlength=bins)
 
 
 def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:

@@ -10,13 +10,9 @@ from scipy.optimize import minimize
 from scipy.special import gammaincinv, ndtri, stdtrit
 from scipy.stats import qmc
 
+from lensshift.evaluation.slanted_edge import likelihood as likeliness
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
-from lensshift.evaluation.slanted_edge.likelihood import (
-    IMPOSSIBLE,
-    MODEL_ERROR,
-    EdgeLikelihood,
-    Solution,
-)
+from lensshift.evaluation.slanted_edge.likelihood import EdgeLikelihood, Solution
 from lensshift.evaluation.slanted_edge.lsf_prior import START, STEPS
 
 TYPICAL_STEPS = np.append(STEPS, 0.05)
@@ -82,7 +78,7 @@ def drawn_around(likelihood: EdgeLikelihood, start: Vector, seed: int) -> Poster
         parameters = np.concatenate([parameters, more])
         # Every draw counts as one of the mixture of all proposals so far.
         densities = [proposal.log_density(parameters) for proposal in proposals]
-        values = np.array([IMPOSSIBLE if one is None else one.value for one in found])
+        values = np.array([likeliness.IMPOSSIBLE if one is None else one.value for one in found])
         log_weights = value - values - np.logaddexp.reduce(densities, axis=0)
         weights = _cut(log_weights)
     return Posterior(likelihood.bounded(best), likelihood.bounded(parameters), weights, found)
@@ -152,12 +148,9 @@ def descended(
         return value, gradient @ directions
 
     found = minimize(
-        along,
-        np.zeros(start.size),
-        jac=True,
-        method="L-BFGS-B",
+        along, np.zeros(start.size), jac=True, method="L-BFGS-B",
         options={"maxiter": _MOST_STEPS, "ftol": 1e-7, "maxcor": 30},
-    )
+    )  # fmt: skip
     inverse: Matrix = found.hess_inv @ np.eye(start.size)
     rounder = directions @ np.linalg.cholesky(0.5 * (inverse + inverse.T))
     return start + directions @ found.x, float(found.fun), rounder
@@ -177,4 +170,5 @@ def _curvature_directions(
 
 def starting_point(log_sigma: float, noise: float) -> Vector:
     """Return a first guess of all parameters."""
-    return np.concatenate([[log_sigma], START[1:], [np.log(max(noise, MODEL_ERROR))]])
+    log_noise = np.log(max(noise, likeliness.MODEL_ERROR))
+    return np.concatenate([[log_sigma], START[1:], [log_noise]])

@@ -25,7 +25,7 @@ from lensshift.evaluation.slanted_edge.result import Region
 _FEWEST_PIXELS = 64
 _SHARED = 0.1  # of the variance: less is not worth a weight
 # In units of the edge's own width:
-_HALF_WIDTH = 6.0  # where plateaus begin, to a first look
+_HALF_WIDTH, _NEAR_WIDTH = 6.0, 3.5  # where plateaus begin, to a first look; where at least
 _LARGEST_REACH = 32.0  # of the splines: a ghost farther away is taken for part of the plateau
 _SLOPES = 9.0  # squared deviations: three
 _MOST_TAKEN = 0.5  # of the noise, by a free ESF: where it takes more, pixels are too few to say
@@ -91,13 +91,8 @@ class UprightEdge:
 
     def without(self, out: Mask) -> UprightEdge:
         """Return the edge of the pixels but those out [n]."""
-        return replace(
-            self,
-            pixels=self.pixels.without(out),
-            across_px=self.across_px[~out],
-            along_px=self.along_px[~out],
-            scaled=self.scaled[~out],
-        )
+        kept = {name: getattr(self, name)[~out] for name in ("across_px", "along_px", "scaled")}
+        return replace(self, pixels=self.pixels.without(out), **kept)
 
     def response_without(self, out: Mask | None) -> FreeResponse:
         """Return `free_response` as the pixels but those out [n] tell it."""
@@ -107,13 +102,29 @@ class UprightEdge:
 
     def plateaus(self) -> list[Mask]:
         """Return the masks of the dark and the bright plateau."""
-        reach_px = (_HALF_WIDTH + 1.0) * self.unit_px
-        normal_px = self.normal_px
-        half = 0.5 * reach_px
-        sides = [normal_px < -reach_px, normal_px > reach_px]
+        sides = self._sides(_HALF_WIDTH + 1.0)
         if min(int(side.sum()) for side in sides) >= 40:
             return sides
-        return [normal_px < -half, normal_px > half]  # a narrow region: nearer to the edge
+        return self._sides(_NEAR_WIDTH)  # a narrow region: nearer to the edge
+
+    def slopes_across(self) -> bool:
+        """Tell whether the plateaus seem to slope, under uneven light or by a wide response."""
+        for side in self._sides(_NEAR_WIDTH):
+            if not side.any():
+                continue
+            place_px, values = (x[side] - x[side].mean() for x in (self.normal_px, self.scaled))
+            squares = float(place_px @ place_px)
+            slope = float(place_px @ values) / squares if squares > 0.0 else 0.0
+            rest = values - slope * place_px
+            noise = max(float(np.mean(rest**2)), noise_model.NOISELESS**2)
+            if slope**2 * squares > _SLOPES * noise:
+                return True
+        return False
+
+    def _sides(self, units: float) -> list[Mask]:
+        """Return the masks of the pixels farther from the edge, dark and bright."""
+        away_px = units * self.unit_px
+        return [self.normal_px < -away_px, self.normal_px > away_px]
 
 
 def turn_upright(
@@ -131,25 +142,14 @@ def turn_upright(
     angle_rad = float(np.arctan2(sine, abs(cosine)))
     across_px = np.asarray(sign * x_px - line.position_px / np.cos(angle_rad))
     scaled = (pixels.values - line.low) / (line.high - line.low)
-    geometry = np.array([angle_rad, 0.0])
+    geometry, unit_px = np.array([angle_rad, 0.0]), max(1.0, line.sigma_px)
     if most_bends:
         half_length_px = max(float(np.max(np.abs(y_px))), 1.0)
-        unit_px = max(1.0, line.sigma_px)
         basis = splines_for(_HALF_WIDTH, unit_px)
         seen = across_px[told], y_px[told], scaled[told]
         geometry = bend_edge(*seen, geometry, basis, half_length_px, most_bends)
-    return UprightEdge(
-        pixels=pixels,
-        line=line,
-        vertical=vertical,
-        start_angle_rad=angle_rad,
-        sign=sign,
-        geometry=geometry,
-        across_px=across_px,
-        along_px=y_px,
-        scaled=scaled,
-        unit_px=max(1.0, line.sigma_px),
-    )
+    places_px = geometry, across_px, y_px
+    return UprightEdge(pixels, line, vertical, angle_rad, sign, *places_px, scaled, unit_px)
 
 
 def learn_noise(
@@ -189,24 +189,6 @@ def learn_noise(
     return noise_model.with_edge(noise, near, free, edge.normal_px, places), order
 
 
-def slopes_across(edge: UprightEdge) -> bool:
-    """Tell whether the plateaus seem to slope, under uneven light or by a wide response."""
-    begin_px = 0.5 * (_HALF_WIDTH + 1.0) * edge.unit_px
-    for side in (edge.normal_px < -begin_px, edge.normal_px > begin_px):
-        if not side.any():
-            continue
-        place_px, values = (x[side] - x[side].mean() for x in (edge.normal_px, edge.scaled))
-        squares = float(place_px @ place_px)
-        if squares > 0.0:
-            slope = float(place_px @ values) / squares
-            rest = values - slope * place_px
-            if slope**2 * squares > _SLOPES * max(
-                float(np.mean(rest**2)), noise_model.NOISELESS**2
-            ):
-                return True
-    return False
-
-
 def _share_taken(response: FreeResponse, sides: list[Mask]) -> float:
     """Return the share of the noise of the plateaus that a free ESF follows, by a random probe."""
     plateaus = sides[0] | sides[1]
@@ -221,13 +203,11 @@ def take_samples(
     edge: UprightEdge, noise: NoiseModel, aperture_px: float, light: int
 ) -> EdgeSamples:
     """Return the samples of a region, whitened, with so many orders of uneven light."""
-    relative = np.ones(edge.scaled.size)
-    normal_px = edge.normal_px
+    relative, normal_px, rounding = np.ones(edge.scaled.size), edge.normal_px, edge.rounding
     if noise.dark_sigma != noise.bright_sigma or noise.near is not None:
         angle_rad = float(edge.geometry[0])
         response = core_slopes(normal_px, angle_rad, edge.line.sigma_px, aperture_px)[0]
         relative = noise.relative_sigma(response, normal_px)
-    rounding = edge.rounding
     # By themselves, and with what they share with pixels of the same value.
     own = np.maximum((noise.dark_sigma * relative) ** 2, rounding.sigma**2)
     share = rounding.shared(np.sqrt(own)) / np.maximum(own, np.finfo(float).tiny)
@@ -235,15 +215,10 @@ def take_samples(
     if rounded:
         relative = np.sqrt(own * (1.0 + share) / own.min())
     plain = noise.is_plain and not rounded
-    return EdgeSamples(
-        across_px=edge.across_px,
-        along_px=edge.along_px,
-        half_length_px=edge.half_length_px,
-        light=light,
-        values=edge.scaled,
-        whitener=None if plain else noise.whitener(edge.pixels.places, relative, normal_px),
-        unlike=float(np.mean(1.0 / (1.0 + share))) if rounded else 1.0,
-    )
+    whitener = None if plain else noise.whitener(edge.pixels.places, relative, normal_px)
+    unlike = float(np.mean(1.0 / (1.0 + share))) if rounded else 1.0
+    places_px = edge.across_px, edge.along_px, edge.half_length_px
+    return EdgeSamples(*places_px, light, edge.scaled, whitener, unlike)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -57,7 +57,9 @@ def find_regions(image: Image) -> list[Region]:
     if not valid.any():
         raise ValueError("expected an edge, got an image without a valid pixel")
     filled = image if valid.all() else np.where(valid, image, np.nanmedian(image))
-    noise = _noise_of(filled)
+    # Of white noise: from second differences, most of which see no edge.
+    mixed = np.abs(np.diff(np.diff(filled, axis=0), axis=1))
+    noise = float(np.median(mixed)) / 0.6745 / 2.0 if mixed.size else 0.0
     filled = _without_impulses(filled, noise)
     image = np.where(valid, filled, np.nan)
     if _share(image, whole, 0.0) > _WHOLE_SHARE:
@@ -73,22 +75,17 @@ def find_regions(image: Image) -> list[Region]:
     )
     found: list[tuple[int, Region]] = []
     for axis in (0, 1):  # 1: the gradient runs along the columns, the edge is near-vertical
-        across = gradient[axis] if axis == 1 else gradient[axis].T
-        along = gradient[1 - axis] if axis == 1 else gradient[1 - axis].T
-        steep = strength if axis == 1 else strength.T
+        turned = (gradient[axis], gradient[1 - axis], strength)
+        across, along, steep = turned if axis == 1 else (one.T for one in turned)
         crest = (steep > least) & (np.abs(across) >= np.abs(along))
         crest[:, 1:-1] &= (steep[:, 1:-1] >= steep[:, :-2]) & (steep[:, 1:-1] > steep[:, 2:])
         for sign in (1, -1):
             for lines, places in _segments(crest & (sign * across > 0)):
-                region, slope_rad = _around(steep, lines, places, least)
-                if region is None:
+                ends, slope_rad = _around(steep, lines, places, least)
+                if ends is None:
                     continue
-                normal_rad = -slope_rad
-                if axis == 0:
-                    normal_rad = 0.5 * np.pi + slope_rad
-                    region = Region(
-                        region.col_start, region.col_stop, region.row_start, region.row_stop
-                    )
+                normal_rad = -slope_rad if axis == 1 else 0.5 * np.pi + slope_rad
+                region = Region(*(ends if axis == 1 else (*ends[2:], *ends[:2])))
                 if _share(image, region, noise, normal_rad) > _LEAST_SHARE:
                     found.append((len(lines), region))
     if not found:
@@ -98,14 +95,6 @@ def find_regions(image: Image) -> list[Region]:
             "areas; give its region"
         )
     return [region for _, region in sorted(found, key=lambda one: -one[0])]
-
-
-def _noise_of(image: Image) -> float:
-    """Return the deviation of white noise: from second differences, most of which see no edge."""
-    if min(image.shape) < 2:
-        return 0.0
-    mixed = np.diff(np.diff(image, axis=0), axis=1)
-    return float(np.median(np.abs(mixed))) / 0.6745 / 2.0
 
 
 def _without_impulses(image: Image, noise: float) -> Image:
@@ -131,8 +120,9 @@ def _share(image: Image, region: Region, noise: float, normal_rad: float | None 
     x_px, y_px = col.astype(np.float64), row.astype(np.float64)
     variance = float(np.var(values))
     rest = max(variance - noise**2, 0.0)
-    share = explained_share(x_px, y_px, values, normal_rad)
-    return share * variance / rest if rest > 0.1 * noise**2 else 0.0
+    if rest <= 0.1 * noise**2:
+        return 0.0
+    return explained_share(x_px, y_px, values, normal_rad) * variance / rest
 
 
 def _segments(crest: NDArray[np.bool_]) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
@@ -147,13 +137,10 @@ def _segments(crest: NDArray[np.bool_]) -> list[tuple[NDArray[np.intp], NDArray[
     parts = []
     for k in np.flatnonzero(np.diff(starts) >= _LEAST_LENGTH_PX + 2 * _CORNER_PX):
         own = order[starts[k] : starts[k + 1]]
-        lines, first = np.unique(line[own], return_index=True)
-        if lines.size < own.size:  # branches: the mean of a line is no crest
-            totals = np.bincount(np.searchsorted(lines, line[own]), weights=place[own])
-            places = np.rint(totals / np.bincount(np.searchsorted(lines, line[own])))
-            parts += _split(lines, places.astype(np.intp))
-        else:
-            parts += _split(lines, place[own][first])
+        lines, number = np.unique(line[own], return_inverse=True)
+        # Of branches the mean of a line is taken, and is no crest.
+        means = np.bincount(number, weights=place[own]) / np.bincount(number)
+        parts += _split(lines, np.rint(means).astype(np.intp))
     return parts
 
 
@@ -177,7 +164,7 @@ def _off_bend_px(lines: NDArray[np.intp], places: NDArray[np.intp]) -> float:
 
 def _around(
     strength: Image, lines: NDArray[np.intp], places: NDArray[np.intp], least: float
-) -> tuple[Region | None, float]:
+) -> tuple[tuple[int, int, int, int] | None, float]:
     """Return the region of one long straight crest above noise, and its angle to the lines."""
     first, last = int(lines[0]) + _CORNER_PX, int(lines[-1]) + 1 - _CORNER_PX
     if last - first < _LEAST_LENGTH_PX:
@@ -186,14 +173,12 @@ def _around(
     line, place = lines[inside], places[inside]
     slope = float(np.polyfit(line, place, 1)[0])
     bend = np.polyfit(line, place, 2)
-    angle, crossed_px = abs(np.arctan(slope)), abs(slope) * (last - first)
-    if _off_bend_px(line, place) >= _STRAIGHT_PX or not _LEAST_ANGLE <= angle <= _LARGEST_ANGLE:
-        return None, 0.0
-    if crossed_px < _LEAST_CROSSED_PX:
+    slanted = _LEAST_ANGLE <= abs(np.arctan(slope)) <= _LARGEST_ANGLE
+    slanted &= abs(slope) * (last - first) >= _LEAST_CROSSED_PX
+    if not slanted or _off_bend_px(line, place) >= _STRAIGHT_PX:
         return None, 0.0
     others = max(_OTHERS_SHARE * float(np.median(strength[line, place])), least)
-    best: Region | None = None
-    best_px = _LEAST_HALF_WIDTH_PX - 1
+    best, best_px = None, _LEAST_HALF_WIDTH_PX - 1
     for part in _PARTS:  # a long slanted edge leaves its rectangle little room; a part has more
         cut = round(0.5 * (1.0 - part) * (last - first))
         low, high = first + cut, last - cut
@@ -204,7 +189,7 @@ def _around(
         if min(left, right) > best_px:
             best_px = min(left, right)
             start, stop = int(np.floor(at.min())) - left, int(np.ceil(at.max())) + right + 1
-            best = Region(low, high, max(start, 0), min(stop, strength.shape[1]))
+            best = (low, high, max(start, 0), min(stop, strength.shape[1]))
         if best_px >= _GOOD_HALF_WIDTH_PX:
             break
     return best, float(np.arctan(slope))

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from lensshift.core.arrays import Mask
@@ -118,42 +115,36 @@ def _standing_out(edge: UprightEdge, out: Mask) -> Mask:
     rest = edge.scaled - response.of(edge.scaled)[0]
     levels = np.unique(edge.scaled)  # neighbouring grey levels are no exception
     least = max(_LEAST_OUT, _OF_GREY_LEVEL * float(np.min(np.diff(levels), initial=1.0)))
-    bins = _bins(edge)
-    middle, deviation = _levels(rest, bins)
+    bins = _Bins(edge)
+    middle, deviation = bins.levels(rest)
     limit = np.where(bins.large, _STANDS_OUT * np.maximum(deviation, least), np.inf)
     return np.asarray(np.abs(rest - middle[bins.number]) > limit[bins.number])
 
 
-class _Bins(NamedTuple):
+class _Bins:
     """Bins of pixels by distance from the edge: of each pixel [n]; size [b]; if large enough."""
 
-    number: NDArray[np.intp]
-    size: NDArray[np.intp]
-    large: Mask
+    def __init__(self, edge: UprightEdge) -> None:
+        number = np.floor(edge.normal_px / (_BIN_UNITS * edge.unit_px)).astype(np.intp)
+        self.number = number - number.min()
+        self.size = np.bincount(self.number)
+        self.large: Mask = self.size >= _FEWEST_IN_BIN
 
+    def medians(self, values: Vector) -> Vector:
+        """Return the median of values [n] in every bin [b]."""
+        return np.asarray(ndimage.median(values, self.number, np.arange(self.size.size)))
 
-def _bins(edge: UprightEdge) -> _Bins:
-    number = np.floor(edge.normal_px / (_BIN_UNITS * edge.unit_px)).astype(np.intp)
-    number -= number.min()
-    size = np.bincount(number)
-    return _Bins(number, size, size >= _FEWEST_IN_BIN)
-
-
-def _levels(values: Vector, bins: _Bins) -> tuple[Vector, Vector]:
-    """Return median and deviation of values [n] in every bin [b]."""
-    middle = _medians(values, bins)
-    return middle, OF_NORMAL * _medians(np.abs(values - middle[bins.number]), bins)
-
-
-def _medians(values: Vector, bins: _Bins) -> Vector:
-    return np.asarray(ndimage.median(values, bins.number, np.arange(bins.size.size)))
+    def levels(self, values: Vector) -> tuple[Vector, Vector]:
+        """Return median and deviation of values [n] in every bin [b]."""
+        middle = self.medians(values)
+        return middle, OF_NORMAL * self.medians(np.abs(values - middle[self.number]))
 
 
 def _refuse_others(edge: UprightEdge) -> None:
     """Refuse a region with a second edge, or none."""
-    normal_px, bins = edge.normal_px, _bins(edge)
-    middle, deviation = _levels(edge.scaled, bins)
-    place_px = _medians(normal_px, bins)
+    normal_px, bins = edge.normal_px, _Bins(edge)
+    middle, deviation = bins.levels(edge.scaled)
+    place_px = bins.medians(normal_px)
     slack = _WRONG_SIDE + 4.0 * deviation / np.sqrt(np.maximum(bins.size, 1))
     slack[np.abs(place_px) <= _BLUR_UNITS * edge.unit_px] += 1.0
     wrong = bins.large & (np.abs(middle - (place_px > 0.0)) > slack)

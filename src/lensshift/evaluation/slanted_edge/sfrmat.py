@@ -14,19 +14,11 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.errors import warn_quality
 from lensshift.core.optical import MtfCurve
+from lensshift.evaluation.slanted_edge import result as numbers
 from lensshift.evaluation.slanted_edge import sfrmat_steps as steps
 from lensshift.evaluation.slanted_edge.checks import doubted, largest_phase_gap_px
 from lensshift.evaluation.slanted_edge.prepare import EdgeFrames
-from lensshift.evaluation.slanted_edge.result import (
-    EdgeResult,
-    Interval,
-    Profile,
-    Region,
-    crossings,
-    numbers_of,
-    steps_to,
-)
-from lensshift.evaluation.slanted_edge.sfrmat_steps import Matrix, Vector
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, Matrix, Profile, Vector
 
 _CLIP_CPP = 0.495  # above it the original of sfrmat5 reports the clip
 _LARGEST_ORDER = 5
@@ -137,12 +129,11 @@ def sfrmat5(image: ArrayLike, *, order: int = 5, window: steps.Window = "tukey")
     if empty:
         warn_quality(f"{_empty(empty, esf, used, slope)}; sfrmat5 interpolates the ESF there")
     middle_px = (lsf.size - 1) / 2
-    taper = (
-        steps.hamming(lsf.size, middle_px)
-        if window == "hamming"
-        else steps.hann(lsf.size, middle_px - 0.5)
+    shape, at_px = (
+        (steps.hamming, middle_px) if window == "hamming" else (steps.hann, middle_px - 0.5)
     )
-    result = _result(esf, lsf, centred * taper[0], edge, slope, used, empty, turned)
+    windowed = centred * shape(lsf.size, at_px)[0]
+    result = _result(esf, lsf, windowed, edge, slope, used, empty, turned)
     if result.mtf50_cpp > _CLIP_CPP:
         warn_quality(
             f"MTF50 is {result.mtf50_cpp:.3f} cycles per pixel; the original of sfrmat5 reports "
@@ -206,29 +197,19 @@ def _result(
     frequency_cpp = np.arange(modulation.size) / (lsf.size * bin_px)
     half_cpp = _CLIP_CPP if half is None else float(frequency_cpp[half])
     mtf50_cpp, mtf10_cpp = (
-        float(crossings(frequency_cpp, modulation[:, None], level)[0]) for level in (0.5, 0.1)
+        float(numbers.crossings(frequency_cpp, modulation[:, None], level)[0])
+        for level in (0.5, 0.1)
     )
     return SfrmatResult(
-        frequency_cpp=frequency_cpp,
-        modulation=modulation,
-        esf=esf,
-        lsf=lsf,
-        bin_px=bin_px,
-        edge_px=edge[::-1].copy(),
-        slope=slope,
-        angle_rad=angle_rad,
-        lines_used=used,
-        empty_bins=empty,
-        rotated=turned,
-        mtf50_cpp=mtf50_cpp,
-        mtf10_cpp=mtf10_cpp,
-        sampling_efficiency=float(np.fmin(mtf10_cpp / half_cpp, 1.0)),
-    )
+        frequency_cpp, modulation, esf, lsf, bin_px, edge[::-1].copy(), slope, angle_rad,
+        lines_used=used, empty_bins=empty, rotated=turned, mtf50_cpp=mtf50_cpp,
+        mtf10_cpp=mtf10_cpp, sampling_efficiency=float(np.fmin(mtf10_cpp / half_cpp, 1.0)),
+    )  # fmt: skip
 
 
 def measure_binned(
     frames: EdgeFrames,
-    region: Region,
+    region: numbers.Region,
     wanted_lpmm: Vector | None,
     method: str,
     options: dict[str, Any],
@@ -247,32 +228,31 @@ def measure_binned(
     if missing:
         raise ValueError(f"expected valid pixels for {method}, got {missing} invalid in {region}")
     found = (sfrmat3 if method == "sfrmat3" else sfrmat5)(image, **options)
-    pitch_mm = frames.pitch_mm[0]
-    own_lpmm = found.frequency_cpp / pitch_mm
-    if wanted_lpmm is None:
-        curve = MtfCurve(own_lpmm, found.modulation, None, method)
-    else:
-        frequency_lpmm = frames.frequency_lpmm(wanted_lpmm)
-        inside = np.interp(frequency_lpmm, own_lpmm, found.modulation, right=np.nan)
-        curve = MtfCurve(frequency_lpmm, inside, None, method)
-    result = _as_edge(found, region, frames, curve, method)
-    lines = np.arange(image.shape[1 if found.rotated else 0], dtype=np.float64)
-    gap_px = largest_phase_gap_px(lines, found.angle_rad)
-    return doubted(result, lines.size, gap_px, image.ravel())
+    frequency_lpmm, modulation = found.frequency_cpp / frames.pitch_mm[0], found.modulation
+    if wanted_lpmm is not None:
+        own, frequency_lpmm = (frequency_lpmm, modulation), frames.frequency_lpmm(wanted_lpmm)
+        modulation = np.interp(frequency_lpmm, *own, right=np.nan)
+    curve = MtfCurve(frequency_lpmm, modulation, None, method)
+    upright = np.rot90(image) if found.rotated else image
+    result = _as_edge(found, region, upright, frames, curve)
+    gap_px = largest_phase_gap_px(np.arange(float(len(upright))), found.angle_rad)
+    return doubted(result, len(upright), gap_px, image.ravel())
 
 
 def _as_edge(
-    found: SfrmatResult, region: Region, frames: EdgeFrames, curve: MtfCurve, method: str
+    found: SfrmatResult,
+    region: numbers.Region,
+    upright: Matrix,
+    frames: EdgeFrames,
+    curve: MtfCurve,
 ) -> EdgeResult:
-    image = frames.first[region.slices]
-    upright = np.rot90(image) if found.rotated else image
     pitch_mm = frames.pitch_mm[0]
     aside = max(2, round(_PLATEAU_SHARE * upright.shape[1]))
     sides = [upright[:, :aside], upright[:, -aside:]]
     dark, bright = sorted(float(np.mean(side)) for side in sides)
     noise = float(np.sqrt(np.mean([np.var(side) for side in sides]))) / max(bright - dark, 1e-300)
     nyquist_cpp = 0.5 / frames.scale
-    to_nyquist = np.interp(steps_to(nyquist_cpp), found.frequency_cpp, found.modulation)
+    to_nyquist = np.interp(numbers.steps_to(nyquist_cpp), found.frequency_cpp, found.modulation)
     esf = (found.esf - np.min(sides)) / max(float(np.ptp(sides)), 1e-300)
     esf = esf if upright[:, -1].mean() > upright[:, 0].mean() else 1.0 - esf
     middle = int(np.nanargmin(np.abs(esf - 0.5)))
@@ -280,8 +260,8 @@ def _as_edge(
     unknown = Interval(float("nan"))
     curves = (found.frequency_cpp, found.modulation[:, None], to_nyquist[:, None])
     return EdgeResult(
-        **numbers_of(*curves, normal_px, esf[:, None], pitch_mm),
-        method=method,
+        **numbers.numbers_of(*curves, normal_px, esf[:, None], pitch_mm),
+        method=curve.label,
         region=region,
         orientation="horizontal" if found.rotated else "vertical",
         # The original's slope is that of the columns the edge passes, line by line: for an upright

@@ -9,13 +9,12 @@ from typing import Literal
 
 import numpy as np
 from numpy.polynomial.polynomial import Polynomial, polyval
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from lensshift.evaluation.inputs import check_finite, real_array
+from lensshift.evaluation.slanted_edge.result import Matrix, Vector
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Window = Literal["tukey", "hamming"]
 
 BINS_PER_PX = 4
