@@ -35,7 +35,11 @@ def cloud_figure(cloud: PointCloud, title: str = "") -> Figure:
         raise ValueError("expected at least one point, got none")
     right, down, forward = cloud.point_m.T
     place_m = np.stack([right, forward, -down])
-    low_m, high_m = _limits_m(place_m)
+    # All points but those far from most.
+    low_m, high_m = np.percentile(place_m, OUTSIDE, axis=1)
+    far_m = np.max(high_m - low_m)
+    low_m = np.maximum(low_m - far_m, place_m.min(axis=1))
+    high_m = np.minimum(high_m + far_m, place_m.max(axis=1))
     inside = np.all((place_m >= low_m[:, None]) & (place_m <= high_m[:, None]), axis=0)
     shown = np.flatnonzero(inside)
     if len(shown) > _MOST_POINTS:  # every other one of a grid would make stripes
@@ -47,30 +51,14 @@ def cloud_figure(cloud: PointCloud, title: str = "") -> Figure:
     figure = new_figure(_SIDE_IN, 0.75 * _SIDE_IN)
     axes: Any = figure.add_subplot(projection="3d")
     drawn = axes.scatter(
-        *place_m[:, shown],
-        c=colour[shown],
-        s=np.clip(_POINTS_PT2 / len(shown), 0.3, 8.0),
-        cmap="viridis",
-        vmin=darkest,
-        vmax=brightest if brightest > darkest else darkest + 1.0,
-        linewidths=0,
-        depthshade=False,
-        rasterized=True,
-    )
+        *place_m[:, shown], c=colour[shown], s=np.clip(_POINTS_PT2 / len(shown), 0.3, 8.0),
+        cmap="viridis", vmin=darkest, vmax=brightest if brightest > darkest else darkest + 1.0,
+        linewidths=0, depthshade=False, rasterized=True,
+    )  # fmt: skip
     _lay_out(axes, low_m, high_m)
     axes.set_title(title)
-    bar = figure.colorbar(drawn, ax=axes, shrink=0.6, aspect=24, pad=0.12)
-    bar.set_label(label)
+    figure.colorbar(drawn, ax=axes, shrink=0.6, aspect=24, pad=0.12, label=label)
     return figure
-
-
-def _limits_m(place_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and highest places [3] shown: all points but those far from most."""
-    low_m, high_m = np.percentile(place_m, OUTSIDE, axis=1)
-    far_m = np.max(high_m - low_m)
-    return np.maximum(low_m - far_m, place_m.min(axis=1)), np.minimum(
-        high_m + far_m, place_m.max(axis=1)
-    )
 
 
 def _lay_out(axes: Any, low_m: NDArray[np.float64], high_m: NDArray[np.float64]) -> None:

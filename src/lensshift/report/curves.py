@@ -45,8 +45,13 @@ def draw_curve(
         low = np.maximum(curve.modulation - INTERVAL_SIGMAS * curve.std, 0.0)
         high = curve.modulation + INTERVAL_SIGMAS * curve.std
     if low is not None and high is not None:
-        axes.fill_between(frequency, low, high, color=colour, alpha=BAND_ALPHA, linewidth=0.0)
+        draw_band(axes, frequency, low, high, colour)
     axes.plot(frequency, curve.modulation, color=colour, label=label)
+
+
+def draw_band(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, colour: str) -> None:
+    """Shade what lies between two curves."""
+    axes.fill_between(x, low, high, color=colour, alpha=BAND_ALPHA, linewidth=0.0)
 
 
 def draw_pixel_limits(
@@ -70,12 +75,9 @@ def draw_pixel_limits(
     row_mm, col_mm = pitch_pair_mm(pitch_mm)
     for share, style, name in ((1.0, "--", "pixel"), (0.5, ":", "half a pixel")):
         sides_mm = (share * row_mm, share * col_mm)
-        limit = np.mean(
-            [pixel_aperture_mtf(frequency_lpmm, sides_mm, angle_rad=one) for one in angles_rad],
-            axis=0,
-        )
-        frequency, label = frequency_lpmm * factor, f"|sinc| of {name}"
-        axes.plot(frequency, limit, style, color=INK, linewidth=1.0, label=label)
+        limits = [pixel_aperture_mtf(frequency_lpmm, sides_mm, angle_rad=one) for one in angles_rad]
+        shown = frequency_lpmm * factor, np.mean(limits, axis=0)
+        axes.plot(*shown, style, color=INK, linewidth=1.0, label=f"|sinc| of {name}")
 
 
 def draw_limits(
@@ -83,15 +85,10 @@ def draw_limits(
 ) -> None:
     """Draw further limits in grey, each with its own dashes and its label."""
     for number, limit in enumerate(limits):
-        shown = limit.frequency_lpmm <= highest_lpmm
-        axes.plot(
-            limit.frequency_lpmm[shown] * factor,
-            limit.modulation[shown],
-            linestyle=_DASHES[-1 - number % len(_DASHES)],
-            color=GREY,
-            linewidth=1.0,
-            label=limit.label or "limit",
-        )
+        inside = limit.frequency_lpmm <= highest_lpmm
+        shown = limit.frequency_lpmm[inside] * factor, limit.modulation[inside]
+        dashes, label = _DASHES[-1 - number % len(_DASHES)], limit.label or "limit"
+        axes.plot(*shown, linestyle=dashes, color=GREY, linewidth=1.0, label=label)
 
 
 def field_name(field_tan: ArrayLike) -> str:
@@ -142,12 +139,6 @@ def finish_mtf_axes(axes: Axes, highest: float, unit: str, title: str, *, column
 def legend_above(axes: Axes, title: str, columns: int = 2) -> None:
     """Put the legend between title and axes, where it hides no curve."""
     axes.legend(
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncols=columns,
-        title=title,
-        title_fontsize=TITLE_PT,
-        alignment="left",
-        borderaxespad=0.2,
-        borderpad=0.0,
-    )
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, title=title,
+        title_fontsize=TITLE_PT, alignment="left", borderaxespad=0.2, borderpad=0.0,
+    )  # fmt: skip

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Floats, Mask
+from lensshift.core.arrays import Floats
 from lensshift.evaluation.depth import depth_error, near_edges
 from lensshift.evaluation.surface import flying_pixel_fraction
 from lensshift.report import images
@@ -58,7 +58,10 @@ def depth_figure(
     share = f"{100 * flying.fraction:.1f} % of the pixels at edges fly (crosses)"
     title = share if np.isfinite(flying.fraction) else "no edge was found"
     figure, panels = _panels(distance.shape, with_truth=truth_m is not None)
-    _draw_distance(panels[0], shown, flying.flying, f"distance: {title}")
+    drawn = images.draw_image(panels[0], shown, f"distance: {title}", colours="viridis")
+    images.add_scale(panels[0], drawn, "distance (m)")
+    row_px, col_px = np.nonzero(flying.flying)
+    panels[0].plot(col_px, row_px, "x", color=RED, markersize=3.5, markeredgewidth=0.9)
     if truth_m is None:
         return figure
     found = depth_error(distance, truth_m, valid=valid, **edges)
@@ -94,13 +97,6 @@ def _panels(shape: tuple[int, ...], *, with_truth: bool) -> tuple[Figure, list[A
     return figure, [*grid, below.subplots()]
 
 
-def _draw_distance(axes: Axes, distance_m: Floats, flying: Mask, title: str) -> None:
-    shown = images.draw_image(axes, distance_m, title, colours="viridis")
-    images.add_scale(axes, shown, "distance (m)")
-    row_px, col_px = np.nonzero(flying)
-    axes.plot(col_px, row_px, "x", color=RED, markersize=3.5, markeredgewidth=0.9)
-
-
 def _draw_histogram(
     axes: Axes, parts: tuple[tuple[Floats, str, str], ...], reach_mm: float
 ) -> None:
@@ -108,18 +104,12 @@ def _draw_histogram(
     bins = np.linspace(-reach_mm, reach_mm, _BINS + 1)
     for errors_mm, colour, label in parts:
         if errors_mm.size:
-            inside_mm = np.clip(errors_mm, -reach_mm, reach_mm)
-            weights = np.full(errors_mm.size, 100.0 / errors_mm.size)
             axes.hist(
-                inside_mm,
-                bins=bins.tolist(),
-                weights=weights,
-                histtype="stepfilled",
-                facecolor=f"{colour}40",
-                edgecolor=colour,
-                linewidth=1.2,
+                np.clip(errors_mm, -reach_mm, reach_mm), bins=bins.tolist(),
+                weights=np.full(errors_mm.size, 100.0 / errors_mm.size), histtype="stepfilled",
+                facecolor=f"{colour}40", edgecolor=colour, linewidth=1.2,
                 label=f"{label}, {errors_mm.size} px",
-            )
+            )  # fmt: skip
     axes.set(xlim=(-reach_mm, reach_mm), xlabel="error (mm), those beyond in the outermost bins")
     axes.set_ylabel("share of the pixels (%)")
     axes.legend(loc="upper right")

@@ -120,14 +120,10 @@ def edge_line_px(result: EdgeResult) -> tuple[Floats, Floats]:
     ----------
     result : whose position is that of the edge at the middle of the region
     """
-    place = result.region
     vertical = result.orientation == "vertical"
-    start, stop = (
-        (place.row_start, place.row_stop) if vertical else (place.col_start, place.col_stop)
-    )
-    along = np.array([start - 0.5, stop - 0.5])
-    middle = 0.5 * (start + stop - 1)
-    across = result.position_px.value - np.tan(result.angle_rad.value) * (along - middle)
+    place = result.region.slices[0 if vertical else 1]
+    along = np.array([place.start - 0.5, place.stop - 0.5])
+    across = result.position_px.value - np.tan(result.angle_rad.value) * (along - along.mean())
     return (along, across) if vertical else (across, along)
 
 
@@ -152,11 +148,8 @@ def _panels(shapes: list[tuple[int, ...]]) -> tuple[Figure, list[Axes]]:
     figure = style.new_figure(style.WIDTH_IN, _CURVES_IN + below_in)
     heights = (_CURVES_IN, below_in)
     top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=heights)[:, 0]
-    below = (
-        bottom.subplots(len(shapes), 1, squeeze=False, height_ratios=heights_in)
-        if stacked
-        else bottom.subplots(1, len(shapes), squeeze=False)
-    )
+    count = (len(shapes), 1) if stacked else (1, len(shapes))
+    below = bottom.subplots(*count, squeeze=False, height_ratios=heights_in if stacked else None)
     return figure, [*top.subplots(1, 2, width_ratios=_CURVE_WIDTHS), *below.ravel()]
 
 
@@ -219,9 +212,8 @@ def _draw_limits(
     curves.mark_frequency(axes, result.nyquist_lpmm * factor, "LR Nyquist")
     samples_lpmm = result.sample_nyquist_lpmm
     if highest_lpmm > samples_lpmm:
-        axes.axvspan(
-            samples_lpmm * factor, highest_lpmm * factor, color=style.FAINT, alpha=0.45, lw=0
-        )
+        ends = samples_lpmm * factor, highest_lpmm * factor
+        axes.axvspan(*ends, color=style.FAINT, alpha=0.45, lw=0)
     if samples_lpmm > _SAME_NYQUIST * result.nyquist_lpmm:
         curves.mark_frequency(axes, samples_lpmm * factor, "Nyquist of the pixels")
 
@@ -233,8 +225,7 @@ def _draw_profiles(axes: Axes, results: Sequence[EdgeResult]) -> None:
         colour = style.colour_of(number)
         if std is not None and len(results) <= _MOST_NAMED:
             half = curves.INTERVAL_SIGMAS * std
-            ends = (value - half, value + half)
-            axes.fill_between(place_px, *ends, color=colour, alpha=style.BAND_ALPHA, linewidth=0.0)
+            curves.draw_band(axes, place_px, value - half, value + half, colour)
         axes.plot(place_px, value, color=colour, linewidth=1.4)
         width_px = result.rise_mm.value / result.pitch_mm
         if np.isfinite(width_px):
@@ -251,8 +242,8 @@ def _draw_places(axes: Axes, picture: Floats, results: Sequence[EdgeResult]) -> 
     title = "regions" if many else "region"
     images.draw_image(axes, picture, f"{title} and fitted edge{'s' * many}" if fitted else title)
     for number, result in enumerate(results):
-        colour, place = style.colour_of(number), result.region
-        top, stop, left, right = astuple(place)
+        colour = style.colour_of(number)
+        top, stop, left, right = astuple(result.region)
         corner, sides = (left - 0.5, top - 0.5), (right - left, stop - top)
         borders = Rectangle(
             corner, *sides, fill=False, edgecolor=colour, linewidth=1.3,
@@ -310,9 +301,7 @@ def _draw_ratio(axes: Axes, fine: EdgeResult, coarse: EdgeResult, factor: float)
     ratios = [ratio_of(one, other) for one, other in zip(above, below, strict=True)]
     low, value, high = np.array([(one.low, one.value, one.high) for one in ratios]).T
     frequency = frequency_lpmm * factor
-    axes.fill_between(
-        frequency, low, high, color=style.PURPLE, alpha=style.BAND_ALPHA, linewidth=0.0
-    )
+    curves.draw_band(axes, frequency, low, high, style.PURPLE)
     axes.plot(frequency, value, color=style.PURPLE)
     axes.axhline(1.0, color=style.GREY, linewidth=0.9, zorder=1.0)
     curves.mark_frequency(axes, coarse.nyquist_lpmm * factor, "")
@@ -321,28 +310,18 @@ def _draw_ratio(axes: Axes, fine: EdgeResult, coarse: EdgeResult, factor: float)
 
 
 def _curve_at(result: EdgeResult, frequency_lpmm: Floats) -> list[Interval]:
-    modulation = np.interp(frequency_lpmm, result.mtf.frequency_lpmm, result.mtf.modulation)
-    if result.low is None or result.high is None:
-        return [Interval(float(value)) for value in modulation]
-    low = np.interp(frequency_lpmm, result.mtf.frequency_lpmm, result.low)
-    high = np.interp(frequency_lpmm, result.mtf.frequency_lpmm, result.high)
-    ends = zip(modulation, low, high, strict=True)
-    return [Interval(float(value), float(least), float(most)) for value, least, most in ends]
+    known = [one for one in (result.mtf.modulation, result.low, result.high) if one is not None]
+    at = [np.interp(frequency_lpmm, result.mtf.frequency_lpmm, one).tolist() for one in known]
+    return [Interval(*one) for one in zip(*at, strict=True)]
 
 
 def _draw_gains(axes: Axes, gain: ResolutionGain) -> None:
     """Draw the ratios with their intervals, one below the other."""
-    rows = {
-        "MTF50": gain.mtf50,
-        "MTF10": gain.mtf10,
-        "10-90 width": gain.width,
-        "noise": Interval(gain.noise),
-    }
-    for place, (name, ratio) in enumerate(rows.items()):
+    rows = {"MTF50": gain.mtf50, "MTF10": gain.mtf10, "10-90 width": gain.width}
+    for place, (name, ratio) in enumerate((rows | {"noise": Interval(gain.noise)}).items()):
         if not np.isfinite(ratio.value):
-            axes.text(
-                1.0, place, " not reached", va="center", fontsize=style.SMALL_PT, color=style.GREY
-            )
+            words = axes.text(1.0, place, " not reached", va="center", color=style.GREY)
+            words.set_fontsize(style.SMALL_PT)
             continue
         colour = style.GREY if name == "noise" else style.BLUE
         if np.isfinite(ratio.low) and np.isfinite(ratio.high):
@@ -350,8 +329,8 @@ def _draw_gains(axes: Axes, gain: ResolutionGain) -> None:
         axes.plot(ratio.value, place, "o", color=colour, markersize=5.5)
         style.note(axes, _three_digits(ratio), (ratio.value, place), (0.0, 7.0), ha="center")
     axes.axvline(1.0, color=style.GREY, linewidth=0.9, zorder=1.0)
-    axes.set_yticks(range(len(rows)), list(rows))
-    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_yticks(range(len(rows) + 1), [*rows, "noise"])
+    axes.set_ylim(len(rows) + 0.6, -0.6)
     axes.margins(x=0.25)
     axes.grid(visible=False, axis="y")
     axes.set(xlabel="ratio, with 95 % interval", title="gain in resolution and in noise")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -17,7 +16,6 @@ from lensshift.report.preview import shown_range
 from lensshift.report.style import INK
 
 _WITHOUT_VALUE = "#EADCC2"
-_DIVERGING = "RdBu_r"
 
 
 def draw_image(
@@ -42,8 +40,7 @@ def draw_image(
     ValueError
         If the values are no image.
     """
-    image = plain_image(values)
-    return _draw(axes, image, title, corner_px, colours, shown_range(image))
+    return _draw(axes, plain_image(values), title, corner_px, colours)
 
 
 def draw_map(
@@ -64,8 +61,8 @@ def draw_map(
     largest : where the scale ends; values beyond it are told by arrows
     corner_px : row and column of the first pixel
     """
-    image = plain_image(values)
-    shown = _draw(axes, image, title, corner_px, _DIVERGING, (-largest, largest))
+    shown = _draw(axes, plain_image(values), title, corner_px, "RdBu_r")
+    shown.set_clim(-largest, largest)
     add_scale(axes, shown, label)
     return shown
 
@@ -86,14 +83,11 @@ def add_scale(axes: Axes, shown: AxesImage, label: str) -> None:
 
 def outline(axes: Axes, mask: NDArray[np.bool_], colour: str) -> None:
     """Draw a line along the borders between pixels inside and outside a mask [row col]."""
-    inside = np.pad(mask, 1)
-    row, col = np.nonzero(inside[:, 1:] != inside[:, :-1])
-    upright = [((c - 0.5, r - 1.5), (c - 0.5, r - 0.5)) for r, c in zip(row, col, strict=True)]
-    row, col = np.nonzero(inside[1:] != inside[:-1])
-    level = [((c - 1.5, r - 0.5), (c - 0.5, r - 0.5)) for r, c in zip(row, col, strict=True)]
-    axes.add_collection(
-        LineCollection([*upright, *level], colors=colour, linewidths=0.8), autolim=False
-    )
+    inside = np.pad(mask, 1).astype(np.int8)
+    upright, level = (np.argwhere(np.diff(inside, axis=axis)) for axis in (1, 0))
+    lines = [((c - 0.5, r - 1.5), (c - 0.5, r - 0.5)) for r, c in upright]
+    lines += [((c - 1.5, r - 0.5), (c - 0.5, r - 0.5)) for r, c in level]
+    axes.add_collection(LineCollection(lines, colors=colour, linewidths=0.8), autolim=False)
 
 
 def pixel_outline(pixel_um: Floats, **how: Any) -> Rectangle:
@@ -111,23 +105,14 @@ def plain_image(values: ArrayLike) -> Floats:
 
 
 def _draw(
-    axes: Axes,
-    image: Floats,
-    title: str,
-    corner_px: tuple[int, int],
-    colours: str,
-    limits: tuple[float, float],
+    axes: Axes, image: Floats, title: str, corner_px: tuple[int, int], colours: str
 ) -> AxesImage:
-    rows, cols = image.shape
+    (rows, cols), (low, high) = image.shape, shown_range(image)
     top, left = corner_px[0] - 0.5, corner_px[1] - 0.5
     shown = axes.imshow(
-        np.ma.masked_invalid(image),
-        cmap=mpl.colormaps[colours],
-        vmin=limits[0],
-        vmax=limits[1],
-        extent=(left, left + cols, top + rows, top),
-        interpolation="nearest",
-    )
+        np.ma.masked_invalid(image), cmap=colours, vmin=low, vmax=high,
+        extent=(left, left + cols, top + rows, top), interpolation="nearest",
+    )  # fmt: skip
     axes.set_facecolor(_WITHOUT_VALUE)
     axes.grid(visible=False)
     axes.set_title(title)

@@ -84,8 +84,7 @@ def field_curves_figure(lens: Lens, grid: Grid) -> Figure:
     """
     shares = np.linspace(0.0, 1.0, _FIELD_STEPS)
     fields = aberrations.sensor_fields(lens, grid, shares)
-    half_mm = 0.5 * np.asarray(grid.shape) * np.asarray(grid.pitch_mm)
-    height_mm = shares * float(np.hypot(*half_mm))
+    height_mm = _heights_mm(grid, shares)
     found = aberrations.focal_surfaces(lens, fields)
     petzval_mm = 0.5 * aberrations.petzval_curvature_per_mm(lens) * height_mm**2
     scale = 1.0 + distortion(lens, np.concatenate([_NEAR_AXIS * fields[-1:], fields[1:]]))
@@ -93,11 +92,12 @@ def field_curves_figure(lens: Lens, grid: Grid) -> Figure:
     light = 100.0 * aberrations.relative_illumination(lens, fields)
     figure = style.new_figure(style.WIDTH_IN, 4.4)
     focus, departure, bright = figure.subplots(1, 3, sharey=True)
-    focus.plot(found.tangential_mm, height_mm, color=style.BLUE, label="tangential")
-    focus.plot(found.sagittal_mm, height_mm, "--", color=style.RED, label="sagittal")
-    focus.plot(
-        found.sagittal_mm[0] + petzval_mm, height_mm, ":", color=style.GREY, label="Petzval surface"
-    )
+    for place_mm, dashes, colour, label in (
+        (found.tangential_mm, "-", style.BLUE, "tangential"),
+        (found.sagittal_mm, "--", style.RED, "sagittal"),
+        (found.sagittal_mm[0] + petzval_mm, ":", style.GREY, "Petzval surface"),
+    ):
+        focus.plot(place_mm, height_mm, dashes, color=colour, label=label)
     focus.axvline(0.0, color=style.LIGHT, linewidth=0.9, zorder=1.0)
     focus.set(xlabel="focus behind the sensor (mm)", ylabel="height of the image (mm)")
     departure.plot(percent, height_mm, color=style.BLUE)
@@ -112,10 +112,8 @@ def field_curves_figure(lens: Lens, grid: Grid) -> Figure:
     for axes in (departure, focus):
         _widen(axes)
     curves.legend_above(focus, "", 1)
-    figure.suptitle(
-        f"{lens.name or 'lens'}, centre to corner, {field_name(fields[-1])}",
-        fontsize=style.TITLE_PT,
-    )
+    title = f"{lens.name or 'lens'}, centre to corner, {field_name(fields[-1])}"
+    figure.suptitle(title, fontsize=style.TITLE_PT)
     return figure
 
 
@@ -143,9 +141,7 @@ def sections_figure(
     shares = np.linspace(0.0, 1.0, _MTF_FIELDS)
     fields = aberrations.sensor_fields(lens, grid, shares)
     chosen_lpmm = np.array([0.25, 0.5, 1.0]) * double_lpmm
-    over_field = np.array(
-        [aberrations.section_mtf(lens, one, chosen_lpmm, band=band) for one in fields]
-    )
+    over_field = [aberrations.section_mtf(lens, one, chosen_lpmm, band=band) for one in fields]
     figure = style.new_figure(style.WIDTH_IN, 4.6)
     left, right = figure.subplots(1, 2, sharey=True)
     for number, field in enumerate(fields_tan):
@@ -157,19 +153,16 @@ def sections_figure(
     curves.mark_frequency(left, 0.5 * double_lpmm, "LR Nyquist")
     curves.mark_frequency(left, double_lpmm, "twice that")
     curves.finish_mtf_axes(left, end_lpmm, "LP/mm", "", columns=2)
-    half_mm = 0.5 * np.asarray(grid.shape) * np.asarray(grid.pitch_mm)
-    height_mm = shares * float(np.hypot(*half_mm))
-    for number, lpmm in enumerate(chosen_lpmm):
-        for section, dashes, name in ((0, "-", "T"), (1, "--", "S")):
-            values, label = over_field[:, section, number], f"{lpmm:.3g} LP/mm {name}"
-            right.plot(height_mm, values, dashes, color=style.COLOURS[-1 - number], label=label)
+    height_mm = _heights_mm(grid, shares)
+    for number, (lpmm, both) in enumerate(zip(chosen_lpmm, np.transpose(over_field), strict=True)):
+        for values, dashes, name in zip(both, ("-", "--"), ("T", "S"), strict=True):
+            label, colour = f"{lpmm:.3g} LP/mm {name}", style.COLOURS[-1 - number]
+            right.plot(height_mm, values, dashes, color=colour, label=label)
     right.set(xlim=(0.0, height_mm[-1]), ylim=(0.0, 1.05))
     right.set_xlabel("height of the image, centre to corner (mm)")
     curves.legend_above(right, "", 3)
-    figure.suptitle(
-        f"{lens.name or 'lens'}: T tangential (pattern repeats along the field), S sagittal",
-        fontsize=style.TITLE_PT,
-    )
+    title = f"{lens.name or 'lens'}: T tangential (pattern repeats along the field), S sagittal"
+    figure.suptitle(title, fontsize=style.TITLE_PT)
     return figure
 
 
@@ -203,7 +196,10 @@ def psf_figure(
             decades, extent=(-end_um, end_um, end_um, -end_um), cmap="viridis", vmax=0.0,
             vmin=np.log10(_TINY),
         )  # fmt: skip
-        _draw_pixel(axes, pixel_um)
+        border = images.pixel_outline(pixel_um, edgecolor="white", linewidth=1.0, linestyle="--")
+        axes.add_patch(border)
+        how = {"va": "top", "color": "white", "path_effects": None}
+        style.note(axes, "pixel", border.get_xy(), (3.0, -3.0), **how)
         axes.set(xlim=(-reach_um, reach_um), ylim=(reach_um, -reach_um))
         axes.grid(visible=False)
         axes.set(title=field_name(field), xlabel="column (um)")
@@ -225,11 +221,10 @@ def psf_figure(
     return figure
 
 
-def _draw_pixel(axes: Axes, pixel_um: Floats) -> None:
-    border = images.pixel_outline(pixel_um, edgecolor="white", linewidth=1.0, linestyle="--")
-    axes.add_patch(border)
-    how = {"va": "top", "color": "white"}
-    style.note(axes, "pixel", border.get_xy(), (3.0, -3.0), path_effects=None, **how)
+def _heights_mm(grid: Grid, shares: Floats) -> Floats:
+    """Return how far from the middle places lie at shares of the way to the corner."""
+    sides_mm = np.asarray(grid.shape) * np.asarray(grid.pitch_mm)
+    return shares * float(np.hypot(*(0.5 * sides_mm)))
 
 
 def _widen(axes: Axes) -> None:

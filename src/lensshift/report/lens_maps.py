@@ -246,31 +246,21 @@ def _draw_arrows(axes: Axes, error_px: Floats, times: float) -> None:
     )
     part = times * error_px[np.ix_(row, col)]
     arrows = axes.quiver(
-        *np.meshgrid(col, row),
-        part[..., 1],
-        part[..., 0],
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        color=style.INK,
-        units="inches",
-        width=0.014,
-        minlength=0.5,
-        clip_on=False,
-    )
+        *np.meshgrid(col, row), part[..., 1], part[..., 0], angles="xy", scale_units="xy",
+        scale=1.0, color=style.INK, units="inches", width=0.014, minlength=0.5, clip_on=False,
+    )  # fmt: skip
     arrows.set_in_layout(False)  # else the layout makes room for arrows of any length
 
 
 def _draw_spots(
     axes: Axes, both_um: Sequence[Floats], airy_um: float, pixel_um: Floats, ring: str
 ) -> None:
-    how = {"edgecolor": style.GREY, "linewidth": 1.2, "label": "pixel"}
-    axes.add_patch(images.pixel_outline(pixel_um, **how))
+    outline = images.pixel_outline(pixel_um, edgecolor=style.GREY, linewidth=1.2, label="pixel")
+    axes.add_patch(outline)
     for rays_um, colour, label, size in zip(
         both_um, (style.BLUE, style.RED), ("at rest", "moved"), (3.0, 1.2), strict=True
     ):
         axes.plot(rays_um[:, 1], rays_um[:, 0], ".", color=colour, markersize=size, label=label)
-    axes.add_patch(
-        Circle((0.0, 0.0), airy_um, fill=False, edgecolor=style.INK, zorder=3.0, label=ring)
-    )
+    how = {"fill": False, "edgecolor": style.INK, "zorder": 3.0, "label": ring}
+    axes.add_patch(Circle((0.0, 0.0), airy_um, **how))
     axes.set_aspect("equal")

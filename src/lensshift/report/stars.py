@@ -53,7 +53,7 @@ def star_figure(
     """
     picture, sides_mm = images.plain_image(image), pitch_pair_mm(pitch_mm)
     chosen = np.unique(np.linspace(0, star.radius_mm.size - 1, _RINGS_SHOWN).round().astype(int))
-    named = [(star.mtf, "all directions")] if star.sectors else [(star.mtf, "star")]
+    named = [(star.mtf, "all directions" if star.sectors else "star")]
     turn_deg = 360 / max(1, len(star.sectors))
     named += [(curve, f"{round(turn_deg * k)} degrees") for k, curve in enumerate(star.sectors)]
     figure = style.new_figure(style.WIDTH_IN, 6.4)
@@ -140,26 +140,19 @@ def _draw_curves(
 
 
 def _draw_center(axes: Axes, center_px: Pair, sides_mm: Pair) -> None:
-    axes.plot(
-        center_px[1], center_px[0], "+", color=style.BLUE, markersize=9.0, markeredgewidth=1.4
-    )
+    row, col = center_px
+    axes.plot(col, row, "+", color=style.BLUE, markersize=9.0, markeredgewidth=1.4)
     axes.set_aspect(sides_mm[0] / sides_mm[1])
 
 
 def _draw_ring(axes: Axes, center_px: Pair, sides_mm: Pair, radius_mm: float, letter: str) -> None:
-    axes.add_patch(
-        Ellipse(
-            (center_px[1], center_px[0]),
-            2.0 * radius_mm / sides_mm[1],
-            2.0 * radius_mm / sides_mm[0],
-            fill=False,
-            edgecolor=style.RED,
-            linewidth=1.3,
-            path_effects=style.outlined(1.3),
-        )
-    )
-    top_px = center_px[0] - radius_mm / sides_mm[0]
-    _write(axes, letter, center_px[1], top_px, (0.0, -9.0))
+    high_px, wide_px = (radius_mm / side for side in sides_mm)
+    ring = Ellipse(
+        center_px[::-1], 2.0 * wide_px, 2.0 * high_px, fill=False, edgecolor=style.RED,
+        linewidth=1.3, path_effects=style.outlined(1.3),
+    )  # fmt: skip
+    axes.add_patch(ring)
+    _write(axes, letter, center_px[1], center_px[0] - high_px, (0.0, -9.0))
 
 
 def _write(axes: Axes, text: str, x: float, y: float, away_pt: Pair) -> None:
@@ -171,18 +164,16 @@ def _draw_wedge(axes: Axes, center_px: Pair, sides_mm: Pair, axis: Pair, colour:
     """Draw the two lines through the centre that bound the pixels about an axis (row, col)."""
     far_mm = 1e3 * max(sides_mm)  # cut by the axes
     for turn_rad in (-_WEDGE_RAD, _WEDGE_RAD):
-        row = far_mm * (axis[0] * np.cos(turn_rad) + axis[1] * np.sin(turn_rad)) / sides_mm[0]
-        col = far_mm * (axis[1] * np.cos(turn_rad) + axis[0] * np.sin(turn_rad)) / sides_mm[1]
-        cols, rows = (
-            np.array([at - by, at + by]) for at, by in zip(center_px[::-1], (col, row), strict=True)
-        )
+        away = np.cos(turn_rad) * np.array(axis) + np.sin(turn_rad) * np.array(axis[::-1])
+        by_px = far_mm * away / sides_mm
+        rows, cols = np.transpose([center_px - by_px, center_px + by_px])
         axes.plot(cols, rows, color=colour, linewidth=1.1, path_effects=style.outlined(1.1))
 
 
 def _draw_wave(axes: Axes, star: SiemensResult, ring: int, picture: Floats, sides_mm: Pair) -> None:
     """Draw the pixels of one ring over the phase, freed of uneven light, and the fitted wave."""
-    phase, values, modulation = ring_wave(star, ring, picture, sides_mm)
-    axes.plot(phase, values, ".", color=style.GREY, markersize=2.5, alpha=0.6)
+    phase, level, modulation = ring_wave(star, ring, picture, sides_mm)
+    axes.plot(phase, level, ".", color=style.GREY, markersize=2.5, alpha=0.6)
     turn = np.linspace(-0.5, 0.5, 101)
     axes.plot(turn, 1.0 + modulation * np.cos(2.0 * np.pi * turn), color=style.RED)
     axes.set(xlim=(-0.5, 0.5), xlabel="phase (cycles)")
@@ -205,12 +196,8 @@ def ring_wave(
     """
     radius_mm = float(star.radius_mm[ring])
     cycles = round(2.0 * np.pi * radius_mm * float(star.mtf.frequency_lpmm[ring]))
-    row_mm, col_mm = (
-        (index - center) * side
-        for index, center, side in zip(
-            np.indices(picture.shape), star.center_px, sides_mm, strict=True
-        )
-    )
+    place_px = np.moveaxis(np.indices(picture.shape), 0, -1) - star.center_px
+    row_mm, col_mm = np.moveaxis(place_px * sides_mm, -1, 0)
     near = np.abs(np.hypot(row_mm, col_mm) - radius_mm) <= 0.5 * max(sides_mm)
     near &= np.isfinite(picture)
     angle_rad, values = np.arctan2(row_mm, col_mm)[near], picture[near]
