@@ -20,8 +20,8 @@ from lensshift.evaluation.edge_gradient import (
     gradient_ratio,
     profile_edge,
     split_index,
+    steps_of,
 )
-from lensshift.evaluation.steps import steps_of
 
 Floats = NDArray[np.float64]
 SLANT = np.tan(np.radians(10))

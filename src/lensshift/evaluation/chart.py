@@ -60,19 +60,13 @@ def chart_edges(
     for one in results:
         row_px, col_px = one.middle_px
         away = np.array([row_px - 0.5 * (rows - 1), col_px - 0.5 * (cols - 1)])
-        radius = float(np.hypot(*away))
-        along = _along(one)
+        radius, turn = float(np.hypot(*away)), one.angle_rad.value
+        along = np.array([np.cos(turn), -np.sin(turn)])  # col = -row tan(turn)
+        along = along if one.orientation == "vertical" else along[::-1]
         share = abs(float(along @ away)) / radius if radius > 0 else 1.0
         direction: Direction = "sagittal" if share >= np.sqrt(0.5) else "tangential"
         edges.append(ChartEdge(one, image, focus, row_px, col_px, radius / half, direction))
     return edges
-
-
-def _along(one: EdgeResult) -> Floats:
-    """Return the direction (row, col) of an edge."""
-    turn = one.angle_rad.value
-    upright = np.array([np.cos(turn), -np.sin(turn)])  # col = -row tan(turn)
-    return upright if one.orientation == "vertical" else upright[::-1]
 
 
 def modulation_at(curve: MtfCurve, frequency_lpmm: float) -> Interval:
@@ -120,13 +114,11 @@ def zone_rows(edges: Sequence[ChartEdge]) -> list[dict[str, Any]]:
                 if one.result.usable and one.direction == direction and low <= one.field < high
             ]
             if here:
-                mean = average_interval(here)
+                row = {"zone": zone, "direction": direction, "edges": len(here)}
                 known = [one.value for one in here if np.isfinite(one.value)]
                 worst = min(known, default=float("nan"))  # of edges too sharp to fall to a half
-                rows.append(
-                    {"zone": zone, "direction": direction, "edges": len(here), "mtf50_lpmm": mean}
-                    | {"worst_mtf50_lpmm": worst}
-                )
+                told = {"mtf50_lpmm": average_interval(here), "worst_mtf50_lpmm": worst}
+                rows.append(row | told)
     return rows
 
 
@@ -207,13 +199,13 @@ def edge_rows(
         row |= {"direction": one.direction, "orientation": found.orientation}
         row |= {"angle_deg": float(np.rad2deg(found.angle_rad.value))}
         for name in ("mtf50", "mtf30", "mtf10"):
-            number = getattr(found, f"{name}_lpmm").scaled(factor)
-            row |= {name: number.value, f"{name}_low": number.low, f"{name}_high": number.high}
+            row |= _three(name, getattr(found, f"{name}_lpmm").scaled(factor))
         row |= {"mtf_at_nyquist": found.mtf_at_nyquist.value, "contrast": found.contrast}
         row |= {"snr": found.snr, "beyond_nyquist": found.beyond_nyquist, "usable": found.usable}
-        for frequency_lpmm in at_lpmm:
-            number = modulation_at(found.mtf, frequency_lpmm)
-            name = f"mtf_at_{frequency_lpmm * factor:g}"
-            row |= {name: number.value, f"{name}_low": number.low, f"{name}_high": number.high}
-        row["notes"] = "; ".join(found.notes)
-        yield row
+        for at in at_lpmm:
+            row |= _three(f"mtf_at_{at * factor:g}", modulation_at(found.mtf, at))
+        yield row | {"notes": "; ".join(found.notes)}
+
+
+def _three(name: str, number: Interval) -> dict[str, float]:
+    return {name: number.value, f"{name}_low": number.low, f"{name}_high": number.high}

@@ -104,20 +104,14 @@ def depth_error(
     )
     _warn_of_values(measured_m[used], truth[used])
     error_m = measured_m - truth
-    inside_m = error_m[used]
+    inside_m, off_m = error_m[used], np.abs(error_m[used])
     return DepthError(
-        rmse_m=rms(inside_m),
-        mae_m=float(np.mean(np.abs(inside_m))),
-        bias_m=float(np.mean(inside_m)),
-        median_abs_m=float(np.median(np.abs(inside_m))),
-        p95_abs_m=float(np.percentile(np.abs(inside_m), 95)),
-        edge_rmse_m=rms(error_m[used & near]),
-        flat_rmse_m=rms(error_m[used & ~near]),
-        count=int(np.count_nonzero(used)),
-        edge_count=int(np.count_nonzero(used & near)),
-        fill_rate=_share(used, known),
-        edge_fill_rate=_share(used & near, known & near),
-    )
+        rmse_m=rms(inside_m), mae_m=float(np.mean(off_m)), bias_m=float(np.mean(inside_m)),
+        median_abs_m=float(np.median(off_m)), p95_abs_m=float(np.percentile(off_m, 95)),
+        edge_rmse_m=rms(error_m[used & near]), flat_rmse_m=rms(error_m[used & ~near]),
+        count=int(np.count_nonzero(used)), edge_count=int(np.count_nonzero(used & near)),
+        fill_rate=_share(used, known), edge_fill_rate=_share(used & near, known & near),
+    )  # fmt: skip
 
 
 def _warn_of_values(measured_m: Floats, truth_m: Floats) -> None:

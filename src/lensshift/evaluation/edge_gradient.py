@@ -10,11 +10,15 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import warn_quality
-from lensshift.evaluation.steps import refuse_two_edges
 
 Limits = Literal["range", "literal"]
 Plateaus = Literal["median", "extremes"]
 
+_STEEP_SHARE = 0.2  # of the steepest place of the line
+_APART_PX = 3  # places nearer than this belong to one edge, so does the spike of a flying pixel
+_LEAST_SHARE = 0.25  # of the largest step: more than the overshoot of a restoration
+_LEAST_SIGMAS = 6.0
+OF_NORMAL = 1.4826  # deviation of a normal distribution over its median absolute one
 _MIN_SAMPLES = 4
 _DRAWS = 1000
 _BINS_PER_PX = 4
@@ -159,13 +163,9 @@ def edge_gradient(
         esf_mm, esf = _averaged_profile(lines, [edge.position_mm for edge in edges], step_mm)
         averaged = profile_edge(esf_mm, esf, limits, share, plateaus)
     slopes = np.array([edge.normalised_per_mm for edge in edges])
-    return EdgeGradient(
-        lines=tuple(edges),
-        averaged=averaged,
-        mean_per_mm=float(slopes.mean()),
-        median_per_mm=float(np.median(slopes)),
-        interval_per_mm=_interval(_mean_draws(slopes, seed=0)) if len(edges) > 1 else None,
-    )
+    interval = _interval(_mean_draws(slopes, seed=0)) if len(edges) > 1 else None
+    middles = float(slopes.mean()), float(np.median(slopes))
+    return EdgeGradient(tuple(edges), averaged, *middles, interval)
 
 
 def gradient_ratio(fine: EdgeGradient, coarse: EdgeGradient) -> GradientRatio:
@@ -226,6 +226,33 @@ def split_index(values: Floats) -> int:
     first = np.arange(1, count)
     centred = values - values.mean()
     return int(np.argmax(np.cumsum(centred)[:-1] ** 2 / (first * (count - first)))) + 1
+
+
+def steps_of(line: Floats) -> list[int]:
+    """Return the samples after which the line steps from one level to another, but for noise."""
+    jump = np.diff(line)
+    steep = np.flatnonzero(np.abs(jump) > _STEEP_SHARE * np.abs(jump).max())
+    groups = np.split(steep, np.flatnonzero(np.diff(steep) > _APART_PX) + 1)
+    heights = [abs(line[group[-1] + 1] - line[group[0]]) for group in groups if group.size]
+    noise = OF_NORMAL / np.sqrt(2.0) * float(np.median(np.abs(jump)))  # of a difference
+    least = max(_LEAST_SHARE * max(heights, default=0.0), _LEAST_SIGMAS * noise)
+    return [
+        int(np.median(group))
+        for group, height in zip(groups, heights, strict=False)
+        if height > least
+    ]
+
+
+def refuse_two_edges(lines: Floats) -> None:
+    """Refuse lines [line n] most of which cross two edges or more; ValueError says where."""
+    found = [steps_of(line) for line in lines]
+    several = [steps for steps in found if len(steps) > 1]
+    if 2 * len(several) > len(lines):
+        places = " and ".join(str(place) for place in several[len(several) // 2])
+        raise ValueError(
+            f"expected one edge across the lines, got several in {len(several)} of {len(lines)} "
+            f"lines, as after samples {places}; give a region around one of them"
+        )
 
 
 def _plateau_levels(values: Floats, split: int, plateaus: Plateaus) -> tuple[float, float]:
@@ -291,10 +318,8 @@ def _averaged_profile(
     offset_mm = _straight(np.array(positions_mm))
     place_mm = (np.arange(count) * step_mm - offset_mm[:, None]).ravel()
     bins = np.floor((place_mm - place_mm.min()) * (_BINS_PER_PX / step_mm)).astype(np.int64)
-    number = np.bincount(bins)
-    filled = number > 0
-    mean_mm = np.bincount(bins, weights=place_mm)[filled] / number[filled]
-    return mean_mm, np.bincount(bins, weights=lines.ravel())[filled] / number[filled]
+    _, bins, number = np.unique(bins, return_inverse=True, return_counts=True)  # the filled ones
+    return np.bincount(bins, place_mm) / number, np.bincount(bins, lines.ravel()) / number
 
 
 def _straight(positions: Floats) -> Floats:

@@ -110,14 +110,10 @@ def gratings_mtf(
     fits = [one.fit for one in groups]
     outer = max(_FEWEST_TO_EXTRAPOLATE, (len(fits) + 1) // 2)
     contrast = known_phase.contrast_at_zero(wanted[:outer], fits[:outer], levels, profile)
-    return GratingResult(
-        mtf=known_phase.mtf_curve(wanted, fits, contrast, "bar gratings"),
-        contrast=contrast[0],
-        contrast_std=contrast[1],
-        regions=tuple(one.region for one in groups),
-        angle_rad=np.array([one.angle_rad for one in groups]),
-        found_lpmm=np.array([one.frequency_lpmm for one in groups]),
-    )
+    angle_rad, found_lpmm = np.array([(one.angle_rad, one.frequency_lpmm) for one in groups]).T
+    mtf = known_phase.mtf_curve(wanted, fits, contrast, "bar gratings")
+    regions = tuple(one.region for one in groups)
+    return GratingResult(mtf, *contrast, regions, angle_rad, found_lpmm)
 
 
 @dataclass(frozen=True, slots=True)

@@ -139,18 +139,13 @@ def siemens_star_mtf(
         curves.append(known_phase.mtf_curve(*told))
     phasors = np.exp(1j * np.array([fit.phase_rad for fit in fits]))
     mean = np.array([fit.modulation for fit in fits]) @ phasors
+    mtf = known_phase.mtf_curve(frequency_lpmm, fits, contrast, "Siemens star")
     return SiemensResult(
-        mtf=known_phase.mtf_curve(frequency_lpmm, fits, contrast, "Siemens star"),
-        center_px=center,
-        contrast=contrast[0],
-        contrast_std=contrast[1],
-        radius_mm=rings_mm,
-        phase_rad=np.angle(phasors * np.conj(mean)),
+        mtf, center, *contrast, rings_mm, phase_rad=np.angle(phasors * np.conj(mean)),
         count=np.array([fit.count for fit in fits], dtype=np.int64),
-        residual=np.array([fit.residual for fit in fits]),
-        pixels_per_cycle=pixels_per_cycle,
+        residual=np.array([fit.residual for fit in fits]), pixels_per_cycle=pixels_per_cycle,
         sectors=tuple(curves),
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,7 +70,7 @@ def residual_figure(fit: ScanFit) -> Figure:
     """Draw what the calibration leaves: arrows over the stage range, and histograms."""
     figure = new_figure(9.0, 3.6)
     arrows, spread = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
-    _draw_arrows(arrows, fit)
+    _draw_residuals(arrows, fit)
     _draw_spread(spread, fit.residual_px)
     return figure
 
@@ -123,13 +123,11 @@ def field_figure(fit: ScanFit) -> Figure:
     high = 4.6 if beside else 1.4 + 2 * 8.4 * rows / cols + 0.9
     figure = new_figure(9.0, min(high, 9.0))
     panels = figure.subplots(1 if beside else 2, 2 if beside else 1, squeeze=False).ravel()
+    place = np.stack(np.meshgrid(row, col, indexing="ij"), axis=-1).astype(np.float64)
     for axis, axes in enumerate(panels):
         part = differing[axis][np.ix_(row, col)]
-        arrows = axes.quiver(
-            *np.meshgrid(col, row), part[..., 1], part[..., 0], angles="xy",
-            scale_units="xy", scale=unit_px / (1.6 * step), width=0.0022, color=BLUE,
-        )  # fmt: skip
-        _draw_key(axes, arrows, (0.9, 1.06), unit_px)
+        how = {"scale": unit_px / (1.6 * step), "width": 0.0022, "color": BLUE}
+        _draw_arrows(axes, place, part, (0.9, 1.06), unit_px, **how)
         axes.set(aspect="equal", xlim=(-2, cols + 1), ylim=(rows + 1, -2))
         axes.set(xlabel="col (px)", ylabel="row (px)")
         worst_px = float(np.linalg.norm(differing[axis], axis=-1).max())
@@ -137,7 +135,7 @@ def field_figure(fit: ScanFit) -> Figure:
     return figure
 
 
-def _draw_arrows(axes: Axes, fit: ScanFit) -> None:
+def _draw_residuals(axes: Axes, fit: ScanFit) -> None:
     """Draw the residuals as arrows where the stage was."""
     stage_mm = np.asarray(fit.burst.stage_mm)
     size_px = np.linalg.norm(fit.residual_px, axis=1)
@@ -147,14 +145,11 @@ def _draw_arrows(axes: Axes, fit: ScanFit) -> None:
         here = fit.direction[:, 1] >= 0 if sign > 0 else fit.direction[:, 1] < 0
         if not np.any(here):
             continue
-        arrows = axes.quiver(
-            stage_mm[here, 1], stage_mm[here, 0], fit.residual_px[here, 1],
-            fit.residual_px[here, 0], angles="xy", scale_units="xy",
-            scale=unit_px / (0.16 * span_mm), width=0.005, color=colour, label=label,
-        )  # fmt: skip
+        how: dict[str, Any] = {"color": colour, "label": label, "width": 0.005}
+        how["scale"] = unit_px / (0.16 * span_mm)
+        key = (0.86, 1.04) if sign > 0 else None
+        _draw_arrows(axes, stage_mm[here], fit.residual_px[here], key, unit_px, **how)
         axes.plot(stage_mm[here, 1], stage_mm[here, 0], ".", color=colour, markersize=3.0)
-        if sign > 0:
-            _draw_key(axes, arrows, (0.86, 1.04), unit_px)
     axes.set(xlabel="stage, col (mm)", ylabel="stage, row (mm)", aspect="equal")
     axes.margins(0.15)
     axes.invert_yaxis()
@@ -162,9 +157,20 @@ def _draw_arrows(axes: Axes, fit: ScanFit) -> None:
     axes.set_title("residual")
 
 
-def _draw_key(axes: Axes, arrows: Any, at: tuple[float, float], unit_px: float) -> None:
-    how: Any = {"labelpos": "E", "color": INK, "fontproperties": {"size": SMALL_PT}}
-    axes.quiverkey(arrows, *at, unit_px, f"{unit_px:g} px", **how)
+def _draw_arrows(
+    axes: Axes,
+    at: Floats,
+    by_px: Floats,
+    key: tuple[float, float] | None,
+    unit_px: float,
+    **how: Any,
+) -> None:
+    """Draw arrows at places (row, col) [... 2], and how long a unit is at a key."""
+    places = (at[..., 1], at[..., 0], by_px[..., 1], by_px[..., 0])
+    arrows = axes.quiver(*places, angles="xy", scale_units="xy", **how)
+    if key is not None:
+        words: Any = {"labelpos": "E", "color": INK, "fontproperties": {"size": SMALL_PT}}
+        axes.quiverkey(arrows, *key, unit_px, f"{unit_px:g} px", **words)
 
 
 def _draw_spread(axes: Axes, residual_px: Floats) -> None:

@@ -228,17 +228,14 @@ def _draw_heights(axes: Axes, here: list[ChartEdge], direction: Direction, facto
     reach = np.array([[one.value - one.low, one.high - one.value] for one in numbers]).T
     reach = np.where(np.isfinite(reach), np.maximum(reach, 0.0), 0.0)
     colour = _COLOURS[direction]
-    axes.errorbar(
-        height, value, reach, fmt="o", color=colour, markersize=3.5, elinewidth=0.8, alpha=0.55
-    )
-    ends = np.linspace(0.0, 1.0, _BINS + 1)
+    how: dict[str, Any] = {"color": colour, "markersize": 3.5, "elinewidth": 0.8, "alpha": 0.55}
+    axes.errorbar(height, value, reach, fmt="o", **how)
     middle = [
-        (float(np.median(height[inside])), float(np.nanmedian(value[inside])))
-        for low, high in pairwise(ends)
+        (np.median(height[inside]), np.nanmedian(value[inside]))
+        for low, high in pairwise(np.linspace(0.0, 1.0, _BINS + 1))
         if (inside := (height >= low) & (height < high)).any()
     ]
-    x, y = np.array(middle).T
-    axes.plot(x, y, color=colour, linestyle=_STYLES[direction], label=direction)
+    axes.plot(*np.transpose(middle), _STYLES[direction], color=colour, label=direction)
 
 
 def _zone_table(edges: Sequence[ChartEdge], unit: str, factor: float) -> list[dict[str, Any]]:
@@ -255,12 +252,13 @@ def _zone_table(edges: Sequence[ChartEdge], unit: str, factor: float) -> list[di
 
 
 def _focus_table(fits: dict[str, FocusFit], unit: str) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = []
-    for zone, one in fits.items():
-        error = f" +- {one.sigma:.2g}" if np.isfinite(one.sigma) else ""
-        told = {"zone": zone, "best focus": f"{one.focus:.4g}{error}"}
-        rows.append(told | {f"MTF50 ({unit})": one.mtf50_lpmm})
-    return rows
+    def place(one: FocusFit) -> str:
+        return f"{one.focus:.4g}" + (f" +- {one.sigma:.2g}" if np.isfinite(one.sigma) else "")
+
+    return [
+        {"zone": zone, "best focus": place(one), f"MTF50 ({unit})": one.mtf50_lpmm}
+        for zone, one in fits.items()
+    ]
 
 
 def _short(row: dict[str, Any]) -> dict[str, Any]:

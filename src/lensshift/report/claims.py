@@ -47,10 +47,8 @@ def curves_figure(
             axes.fill_between(frequency, *bands[label], color=colour, alpha=0.18, linewidth=0)
         axes.plot(frequency, np.asarray(values), style, color=colour, label=label)
     for number, (label, values) in enumerate(limits.items()):
-        axes.plot(
-            frequency, np.asarray(values), _DASHES[1 + number % 3], color=INK, linewidth=1.0,
-            label=label,
-        )  # fmt: skip
+        style = _DASHES[1 + number % 3]
+        axes.plot(frequency, np.asarray(values), style, color=INK, linewidth=1.0, label=label)
     axes.set(xlim=(0.0, float(frequency[-1])), ylim=(0.0, None))
     axes.set(xlabel="spatial frequency on the sensor (LP/mm)", ylabel="modulation")
     axes.legend(ncols=2)
@@ -74,8 +72,8 @@ def sampling_figure(pattern_px: ArrayLike, title: str = "Where four frames sampl
     for number, (row_px, col_px) in enumerate(pattern.tolist()):
         # Content that moves right is seen by pixels that look further left.
         label = f"frame {number}: image at {row_px:+.2f}, {col_px:+.2f} px"
-        axes.plot((col - col_px).ravel(), (row - row_px).ravel(), "o",
-                  color=colour_of(number), label=label)  # fmt: skip
+        places = (col - col_px).ravel(), (row - row_px).ravel()
+        axes.plot(*places, "o", color=colour_of(number), label=label)
     for edge in np.arange(-0.5, 3.0):
         axes.plot([edge, edge], [-0.5, 2.5], color=GREY, linewidth=0.9)
         axes.plot([-0.5, 2.5], [edge, edge], color=GREY, linewidth=0.9)
@@ -102,12 +100,10 @@ def profiles_figure(
     panels = figure.subplots(1, len(profiles), squeeze=False)[0]
     for axes, (name, lines) in zip(panels, profiles.items(), strict=True):
         for number, (label, (place, values)) in enumerate(lines.items()):
-            style = "--" if label == "truth" else "-"
-            colour = GREY if label == "truth" else colour_of(number)
-            axes.plot(
-                np.asarray(place), np.asarray(values), style, color=colour, marker=".",
-                markersize=5.0, linewidth=1.3, label=label,
-            )  # fmt: skip
+            style, colour = ("--", GREY) if label == "truth" else ("-", colour_of(number))
+            how: dict[str, Any] = {"marker": ".", "markersize": 5.0, "linewidth": 1.3}
+            line = np.asarray(place), np.asarray(values)
+            axes.plot(*line, style, color=colour, label=label, **how)
         axes.set(xlabel="column (LR px)", ylabel=name)
         axes.legend()
     figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
@@ -135,9 +131,8 @@ def gains_figure(rows: Sequence[Mapping[str, Any]], branches: Sequence[str], tit
     axes.axvline(3.0, color=INK, linewidth=0.9, linestyle="--")
     axes.set_xlim(0.0, _MOST_GAIN)
     axes.set_xlabel("gradient against one frame (thick: 95 % of the mean; thin: single lines)")
-    axes.legend(
-        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(branches), fontsize=SMALL_PT
-    )
+    place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0)}
+    axes.legend(**place, ncols=len(branches), fontsize=SMALL_PT)
     axes.set_title(title)
     return figure
 
@@ -151,7 +146,5 @@ def _draw_gains(
         at = place + 0.24 * (number - 0.5 * (count - 1))
         axes.plot([gain["least"], gain["most"]], [at, at], color=colour, linewidth=0.8, alpha=0.6)
         axes.plot(gain["interval"], [at, at], color=colour, linewidth=3.2, alpha=0.6)
-        axes.plot(
-            gain["mean"], at, "o", color=colour, markersize=4.5,
-            label=branch if place == 0 else None,
-        )  # fmt: skip
+        label = branch if place == 0 else None
+        axes.plot(gain["mean"], at, "o", color=colour, markersize=4.5, label=label)

@@ -102,9 +102,8 @@ def _draw_profiles(axes: Axes, measured: MeasuredLines, colour: str, length: str
         axes.plot(place_mm - edge.position_mm, values, color=colour, linewidth=0.7, alpha=0.25)
     middle = len(lines) // 2
     edge = edges[middle]
-    axes.plot(
-        place_mm - edge.position_mm, lines[middle], ".-", color=colour, linewidth=1.2, markersize=5
-    )
+    shown = place_mm - edge.position_mm, lines[middle]
+    axes.plot(*shown, ".-", color=colour, linewidth=1.2, markersize=5)
     ends_mm = np.array([edge.low_position_mm, edge.high_position_mm]) - edge.position_mm
     label = f"{measured.name}, line {middle} of {len(lines)}: {edge.slope_per_mm:.3g} per {length} "
     label += f"over {edge.width_mm:.3g} {length}"
@@ -137,9 +136,8 @@ def _draw_slopes(axes: Axes, measured: MeasuredLines, colour: str) -> None:
     if interval is not None:
         axes.axhspan(*interval, color=colour, alpha=BAND_ALPHA, linewidth=0.0)
         ending = f" ({interval[0]:.3g} to {interval[1]:.3g}, 95 %)"
-    axes.axhline(
-        mean, color=colour, linewidth=1.2, label=f"{measured.name}, mean {mean:.3g}{ending}"
-    )
+    label = f"{measured.name}, mean {mean:.3g}{ending}"
+    axes.axhline(mean, color=colour, linewidth=1.2, label=label)
     if gradient.averaged is not None:
         averaged = gradient.averaged.normalised_per_mm
         label = f"{measured.name}, averaged profile {averaged:.3g}"

@@ -19,7 +19,6 @@ from lensshift.report import curves, images, style
 from lensshift.report.curves import field_name
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Pair = tuple[float, float]
@@ -109,8 +108,10 @@ def field_curves_figure(lens: Lens, grid: Grid) -> Figure:
     bright.set(xlim=(0.0, 105.0), xlabel="relative illumination (%)")
     bright.set_title(f"{light[-1]:.1f} % in the corner")
     focus.set_ylim(0.0, height_mm[-1])
-    for axes in (departure, focus):
-        _widen(axes)
+    for axes in (departure, focus):  # zero stays in view, with room on both sides of flat curves
+        low, high = axes.get_xlim()
+        reach = max(abs(low), abs(high), 1e-3)
+        axes.set_xlim(min(low, -0.15 * reach), max(high, 0.15 * reach))
     curves.legend_above(focus, "", 1)
     title = f"{lens.name or 'lens'}, centre to corner, {field_name(fields[-1])}"
     figure.suptitle(title, fontsize=style.TITLE_PT)
@@ -225,10 +226,3 @@ def _heights_mm(grid: Grid, shares: Floats) -> Floats:
     """Return how far from the middle places lie at shares of the way to the corner."""
     sides_mm = np.asarray(grid.shape) * np.asarray(grid.pitch_mm)
     return shares * float(np.hypot(*(0.5 * sides_mm)))
-
-
-def _widen(axes: Axes) -> None:
-    """Keep the zero line in view, with the same room on both sides of flat curves."""
-    low, high = axes.get_xlim()
-    reach = max(abs(low), abs(high), 1e-3)
-    axes.set_xlim(min(low, -0.15 * reach), max(high, 0.15 * reach))

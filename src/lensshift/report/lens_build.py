@@ -79,9 +79,8 @@ def budget_figure(budget: ActuatorBudget) -> Figure:
 
 def _draw_worst(axes: Axes, found: ToleranceResult, limit: float) -> None:
     nominal = float(found.nominal_mtf.min())
-    _draw_histogram(
-        axes, found.worst_mtf, f"least MTF of a build at {found.frequency_lpmm:.3g} LP/mm"
-    )
+    label = f"least MTF of a build at {found.frequency_lpmm:.3g} LP/mm"
+    _draw_histogram(axes, found.worst_mtf, label)
     axes.axvline(limit, color=RED, linewidth=1.4, label=f"limit {limit:g}")
     axes.axvline(nominal, color=INK, linestyle="--", linewidth=1.2, label=f"as drawn {nominal:.3f}")
     title = f"{100 * found.yield_at(limit):.1f} % of {len(found.worst_mtf)} builds keep {limit:g}"

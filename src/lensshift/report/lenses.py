@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -177,15 +177,9 @@ def which_figure(movers: Sequence[Mover]) -> Figure:
 
 
 def _draw_bars(
-    axes: Axes,
-    names: list[str],
-    values: list[float],
-    colour: str,
-    *,
-    away: float = 0.0,
-    label: str = "",
-    texts: Sequence[str] | None = None,
-) -> None:
+    axes: Axes, names: list[str], values: list[float], colour: str, *, away: float = 0.0,
+    label: str = "", texts: Sequence[str] | None = None,
+) -> None:  # fmt: skip
     places = np.arange(len(values)) + away
     bars = axes.barh(places, values, color=colour, height=0.36 if away else 0.6, label=label)
     shown = texts or [f"{value:.3g}" for value in values]
@@ -202,19 +196,16 @@ def _draw_rays(axes: Axes, section: Layout, fields_deg: Sequence[float]) -> None
         colour = colours[ray.field % len(colours)]
         label = "_" if ray.field in named else f"field {fields_deg[ray.field]:.3g} degrees"
         named.add(ray.field)
-        dashes = "-" if ray.arrived else ":"
-        axes.plot(
-            ray.line.z_mm, ray.line.height_mm, dashes, color=colour, linewidth=0.8, label=label
-        )
+        line, dashes = (ray.line.z_mm, ray.line.height_mm), "-" if ray.arrived else ":"
+        axes.plot(*line, dashes, color=colour, linewidth=0.8, label=label)
 
 
 def _draw_parts(axes: Axes, section: Layout, element: int) -> None:
     """Draw glass, stop and sensor."""
     for number, line in enumerate(section.outlines):
         colour = style.RED if number == element else style.INK
-        axes.fill(
-            line.z_mm, line.height_mm, facecolor=_GLASS, edgecolor=colour, linewidth=1.1, alpha=0.8
-        )
+        how: dict[str, Any] = {"facecolor": _GLASS, "edgecolor": colour, "alpha": 0.8}
+        axes.fill(line.z_mm, line.height_mm, linewidth=1.1, **how)
     for part in (*section.stop, section.sensor):
         axes.plot(part.z_mm, part.height_mm, color=style.INK, linewidth=2.2)
     place = (float(section.sensor.z_mm[0]), 0.0)
@@ -244,16 +235,12 @@ def _draw_names(axes: Axes, section: Layout, moved: Polyline, mm_per_pt: float) 
         away_mm = (_FIRST_PT + level * _LEVEL_PT) * mm_per_pt
         at_mm = top_mm + away_mm if side > 0 else low_mm - away_mm
         axes.annotate(
-            text,
-            (middle_mm, edge_mm),
-            xytext=(middle_mm, at_mm),
-            ha="center",
-            va="bottom" if side > 0 else "top",
-            fontsize=style.SMALL_PT,
+            text, (middle_mm, edge_mm), xytext=(middle_mm, at_mm), ha="center",
+            va="bottom" if side > 0 else "top", fontsize=style.SMALL_PT,
             path_effects=style.outlined(2.5),
             zorder=5.0 - 0.1 * level,  # lines to lower rows pass below the names
             arrowprops={"arrowstyle": "-", "color": style.LIGHT, "linewidth": 0.6, "shrinkB": 0.0},
-        )
+        )  # fmt: skip
     rows = {side: max((n for at, n in taken_mm if at == side), default=-1) for side in (-1, 1)}
     room_mm = {n: (_FIRST_PT + (row + 1.3) * _LEVEL_PT) * mm_per_pt for n, row in rows.items()}
     axes.set_ylim(low_mm - room_mm[-1], top_mm + room_mm[1])
@@ -264,9 +251,8 @@ def _draw_sensor(axes: Axes, grid: Grid, frequency_lpmm: Floats, azimuth_rad: fl
     row_mm, col_mm = grid.pitch_mm
     along_mm = float(np.hypot(row_mm * np.sin(azimuth_rad), col_mm * np.cos(azimuth_rad)))
     published = paper_sensor_limit(frequency_lpmm, along_mm)
-    axes.plot(frequency_lpmm, aperture, "--", color=style.INK, linewidth=1.0, label="pixel |sinc|")
-    axes.plot(
-        frequency_lpmm, published, ":", color=style.INK, linewidth=1.0, label="pixel sinc$^2$"
-    )
+    how: dict[str, Any] = {"color": style.INK, "linewidth": 1.0}
+    axes.plot(frequency_lpmm, aperture, "--", label="pixel |sinc|", **how)
+    axes.plot(frequency_lpmm, published, ":", label="pixel sinc$^2$", **how)
     if 0.5 / along_mm < frequency_lpmm[-1]:
         curves.mark_frequency(axes, 0.5 / along_mm, "LR Nyquist")

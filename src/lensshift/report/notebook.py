@@ -63,11 +63,9 @@ def page_of(value: Shown) -> str:
         f'<td style="text-align:left"><code>{html.escape(text)}</code></td></tr>'
         for name, text in described(value).items()
     )
-    name = type(value).__name__
-    picture = _picture(value)
+    name, picture = f"<b>{type(value).__name__}</b>", _picture(value)
     state = "" if picture else " open"
-    table = f"<details{state}><summary><b>{name}</b></summary><table>{rows}</table></details>"
-    return table + picture
+    return f"<details{state}><summary>{name}</summary><table>{rows}</table></details>{picture}"
 
 
 def dataset_of(value: Burst | Reconstruction) -> Dataset:
@@ -104,13 +102,12 @@ def table_of(value: Burst | EdgeResult | MtfCurve) -> DataFrame:
     if isinstance(value, MtfCurve):
         columns = {"frequency_lpmm": value.frequency_lpmm, "modulation": value.modulation}
         return pd.DataFrame(columns | ({} if value.std is None else {"std": value.std}))
-    rows: dict[str, tuple[float, float, float]] = {}
+    rows = {}
     for name in value.__dataclass_fields__:
         number = getattr(value, name)
-        if isinstance(number, Interval):
-            rows[name] = (number.value, number.low, number.high)
-        elif isinstance(number, float):
-            rows[name] = (number, float("nan"), float("nan"))
+        if isinstance(number, float | Interval):
+            whole = number if isinstance(number, Interval) else Interval(number)
+            rows[name] = (whole.value, whole.low, whole.high)
     table = pd.DataFrame.from_dict(rows, orient="index", columns=["value", "low", "high"])
     return table.rename_axis("quantity")
 

@@ -113,13 +113,10 @@ def _cell(name: str, value: Any) -> str:
         text = "-" if not math.isfinite(value) else f"{value + 0.0:.3g}"
         return f'<td class="number" {label}>{text}</td>'
     if isinstance(value, tuple | list) and all(isinstance(one, float) for one in value):
-        return f'<td class="number" {label}>{_range(value)}</td>'
+        text = " to ".join(f"{one:.3g}" for one in value)
+        if len(value) == 2 and value[1] == math.inf:
+            text = f"{value[0]:.3g} or more"
+        return f'<td class="number" {label}>{text}</td>'
     if value in ("confirmed", "qualified", "refuted"):
         return f'<td class="{value}" {label}>{value}</td>'
     return f"<td {label}>{html.escape(str(value))}</td>"
-
-
-def _range(ends: Sequence[float]) -> str:
-    if len(ends) == 2 and ends[1] == math.inf:
-        return f"{ends[0]:.3g} or more"
-    return " to ".join(f"{one:.3g}" for one in ends)

@@ -60,28 +60,24 @@ def _save_plain(shown: Shots, title: str, path: str | Path) -> None:
     limits = {name: channel_range(shown, name) for name in channels}
     rows, cols = next(iter(shown.values()))[channels[0]].shape
     high_px = max(1, round(_WIDE_PX * rows / cols))
-    step_px = high_px + _LINE_PX + _GAP_PX
-    size = (
-        len(channels) * (_WIDE_PX + _GAP_PX) + _GAP_PX,
-        _LINE_PX + 2 * _GAP_PX + len(shown) * step_px,
-    )
-    page = Image.new("RGB", size, _PAPER)
+
+    def corner_px(number: int, place: int) -> tuple[int, int]:
+        down_px = _LINE_PX + 2 * _GAP_PX + number * (high_px + _LINE_PX + _GAP_PX)
+        return _GAP_PX + place * (_WIDE_PX + _GAP_PX), down_px
+
+    page = Image.new("RGB", corner_px(len(shown), len(channels)), _PAPER)
     pen = ImageDraw.Draw(page)
     pen.text((_GAP_PX, _GAP_PX), title, fill=_INK)
     for number, (label, images) in enumerate(shown.items()):
-        top = _LINE_PX + 2 * _GAP_PX + number * step_px
         for place, name in enumerate(channels):
             if name not in images:
                 continue
-            left = _GAP_PX + place * (_WIDE_PX + _GAP_PX)
-            low, high = limits[name]
+            (left, top), (low, high) = corner_px(number, place), limits[name]
             text = f"{label}: {name}, {low:.3g} to {high:.3g}{_UNITS[name]}"
             pen.text((left, top), text, fill=_INK)
             picture = Image.fromarray(_coloured(np.abs(images[name]), low, high, name))
-            page.paste(
-                picture.resize((_WIDE_PX, high_px), Image.Resampling.NEAREST),
-                (left, top + _LINE_PX),
-            )
+            picture = picture.resize((_WIDE_PX, high_px), Image.Resampling.NEAREST)
+            page.paste(picture, (left, top + _LINE_PX))
     with written_whole(path) as part:
         page.save(part, format="PNG")
 

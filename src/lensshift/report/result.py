@@ -123,9 +123,8 @@ def _panels(
         label = f"{name}, one frame, bicubic"
         found["reference"] = _Panel(label, other, colours, scale, measured)
     if estimate.std is not None:
-        std = np.asarray(estimate.std)
+        std, label = np.asarray(estimate.std), f"standard deviation of {name}"
         zero_to_most = Normalize(0.0, shown_range(std)[1])
-        label = f"standard deviation of {name}"
         found["std"] = _Panel(label, std, "magma", zero_to_most, f"std{unit}")
     return found
 
@@ -133,12 +132,10 @@ def _panels(
 def _misfit(result: Reconstruction) -> dict[str, _Panel]:
     """Return the misfit of the frames, which phasors have in common, or none."""
     known = [one.misfit for one in result.channels.values() if one.misfit is not None]
-    label = "misfit, 1: noise alone"
-    scale = LogNorm(1.0, _MOST_MISFIT)
     if not known:
         return {}
-    clipped = np.clip(known[0], 1.0, _MOST_MISFIT)
-    return {"misfit": _Panel(label, clipped, "gray", scale, "chi-square")}
+    clipped, scale = np.clip(known[0], 1.0, _MOST_MISFIT), LogNorm(1.0, _MOST_MISFIT)
+    return {"misfit": _Panel("misfit, 1: noise alone", clipped, "gray", scale, "chi-square")}
 
 
 def _draw(axes: Any, panel: _Panel) -> None:

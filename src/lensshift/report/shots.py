@@ -47,10 +47,8 @@ def shots_figure(shown: Shots, title: str = "", *, wide_in: float = 11.0) -> Fig
             drawn = axes.imshow(np.abs(images[channel]), cmap=COLOURS[channel], vmin=low, vmax=high)
             axes.set_title(label, fontsize=SMALL_PT)
         if drawn is not None:
-            where = "right" if beside else "bottom"
-            bar = figure.colorbar(
-                drawn, ax=list(panels[:, number]), location=where, shrink=0.6, aspect=40
-            )
+            where, column = "right" if beside else "bottom", list(panels[:, number])
+            bar = figure.colorbar(drawn, ax=column, location=where, shrink=0.6, aspect=40)
             bar.set_label(_UNITS[channel])
     figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
     return figure

@@ -65,9 +65,14 @@ def star_figure(
     _draw_center(right, star.center_px, sides_mm)
     panels = below.subplots(1, chosen.size, squeeze=False, sharey=True)[0]
     panels[0].set_ylabel("pixel over mean")
+    turn = np.linspace(-0.5, 0.5, 101)
     for letter, axes, ring in zip("abc", panels, chosen, strict=False):
         _draw_ring(right, star.center_px, sides_mm, float(star.radius_mm[ring]), letter)
-        _draw_wave(axes, star, int(ring), picture, sides_mm)
+        # Its pixels over the phase, freed of uneven light, and the fitted wave.
+        phase, level, amplitude = ring_wave(star, int(ring), picture, sides_mm)
+        axes.plot(phase, level, ".", color=style.GREY, markersize=2.5, alpha=0.6)
+        axes.plot(turn, 1.0 + amplitude * np.cos(2.0 * np.pi * turn), color=style.RED)
+        axes.set(xlim=(-0.5, 0.5), xlabel="phase (cycles)")
         place = star.mtf.frequency_lpmm[ring] * factor
         samples = f"{star.pixels_per_cycle[ring]:.1f} px per cycle"
         axes.set_title(f"{letter}: {place:.3g} {unit}, {samples}")
@@ -168,15 +173,6 @@ def _draw_wedge(axes: Axes, center_px: Pair, sides_mm: Pair, axis: Pair, colour:
         by_px = far_mm * away / sides_mm
         rows, cols = np.transpose([center_px - by_px, center_px + by_px])
         axes.plot(cols, rows, color=colour, linewidth=1.1, path_effects=style.outlined(1.1))
-
-
-def _draw_wave(axes: Axes, star: SiemensResult, ring: int, picture: Floats, sides_mm: Pair) -> None:
-    """Draw the pixels of one ring over the phase, freed of uneven light, and the fitted wave."""
-    phase, level, modulation = ring_wave(star, ring, picture, sides_mm)
-    axes.plot(phase, level, ".", color=style.GREY, markersize=2.5, alpha=0.6)
-    turn = np.linspace(-0.5, 0.5, 101)
-    axes.plot(turn, 1.0 + modulation * np.cos(2.0 * np.pi * turn), color=style.RED)
-    axes.set(xlim=(-0.5, 0.5), xlabel="phase (cycles)")
 
 
 def ring_wave(

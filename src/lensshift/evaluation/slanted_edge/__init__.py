@@ -18,16 +18,6 @@ from lensshift.evaluation.slanted_edge.result import (
 )
 
 __all__ = [
-    "METHODS",
-    "EdgeResult",
-    "Interval",
-    "Profile",
-    "Region",
-    "average_curves",
-    "average_interval",
-    "find_regions",
-    "measure_edge",
-    "measure_edges",
-    "slanted_edge_mtf",
-    "usable_edges",
-]
+    "METHODS", "EdgeResult", "Interval", "Profile", "Region", "average_curves", "average_interval",
+    "find_regions", "measure_edge", "measure_edges", "slanted_edge_mtf", "usable_edges",
+]  # fmt: skip

@@ -44,14 +44,12 @@ def bend_edge(
     geometry, best = pixels.descended(line)
     terms = 0
     while terms < most and (terms or pixels.promise_bends(geometry, most)):
-        tries = []
-        for count in range(terms + 1, min(terms + 2, most) + 1):
-            start = np.concatenate([geometry, np.zeros(2 + count - geometry.size)])
-            tries.append((*pixels.descended(start), count))
-        found, criterion, count = min(tries, key=lambda one: one[1])
+        more = range(1, min(2, most - terms) + 1)
+        starts = (np.append(geometry, np.zeros(n)) for n in more)
+        found, criterion = min(map(pixels.descended, starts), key=lambda one: one[1])
         if criterion > best - _WORTH:
             break
-        geometry, best, terms = found, criterion, count
+        geometry, best, terms = found, criterion, found.size - 2
     return geometry if rms_bend_px(geometry) > _LEAST_BEND_PX else line
 
 
@@ -79,12 +77,9 @@ class _Near(NamedTuple):
         rests = []
         for used in range(straight, straight + most + 1):
             factors = _ridge_solved(products[:used, :used], right[:used], _RIDGE)
-            rests.append(float(np.sum((z - columns[:, :used] @ factors) ** 2)))
-        for terms, rest in enumerate(rests[1:], 1):
-            gain = z.size * np.log(max(rests[0], 1e-300) / max(rest, 1e-300))
-            if gain - terms * np.log(z.size) > _WORTH:
-                return True
-        return False
+            rests.append(max(float(np.sum((z - columns[:, :used] @ factors) ** 2)), 1e-300))
+        gains = z.size * np.log(rests[0] / np.array(rests)) - np.arange(most + 1) * np.log(z.size)
+        return bool(np.max(gains) > _WORTH)
 
     def descended(self, start: Vector) -> tuple[Vector, float]:
         """Return geometry and information criterion after Gauss-Newton steps, the ESF free."""
@@ -93,8 +88,7 @@ class _Near(NamedTuple):
             splines, rest, slope = self._free(geometry)
             both = np.column_stack([splines, self._moves(geometry, slope)])
             step = _ridge_fit(both, self.z)[0][splines.shape[1] :]
-            geometry[0] += step[0]
-            geometry[2:] += step[1:]
+            geometry += np.insert(step, 1, 0.0)
             in_px = np.append(self.half_length_px, np.ones(step.size - 1))
             if np.max(np.abs(step * in_px)) < _SETTLED_PX:
                 break

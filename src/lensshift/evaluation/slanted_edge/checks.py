@@ -64,7 +64,13 @@ def doubted(
         found.append(f"the edge is tilted by {angle_deg:.2f} degrees, expected 2 or more")
     elif angle_deg > _LARGEST_ANGLE_DEG:
         found.append(f"the edge is tilted by {angle_deg:.1f} degrees, expected 43 or less")
-    found += _corner(result)
+    # Two sides of a square look like one edge that bends: as a parabola, by so many degrees.
+    turn_deg = math.degrees(math.atan(6.0 * 5.0**0.5 * result.bend_px / result.extent_px[0]))
+    if turn_deg > _LARGEST_TURN_DEG:
+        found.append(
+            f"the edge turns by {turn_deg:.0f} degrees from its middle to its ends: does the "
+            "region hold a corner, two sides of a square?"
+        )
     if gap_px > _LARGEST_GAP_PX:
         found.append(
             f"the lines leave {gap_px:.2f} px of the pixel unsampled at {angle_deg:.2f} degrees; "
@@ -80,8 +86,7 @@ def doubted(
         found.append(f"{out} pixels stand out (hot, dead, dusty, of a corner) and are left out")
     if result.bend_px > _LEAST_BEND_PX:
         found.append(f"the edge is not straight: it bends by {result.bend_px:.2f} px rms")
-    asymmetry = result.asymmetry
-    if min(asymmetry.low, asymmetry.value) > _LARGEST_ASYMMETRY:
+    if min((asymmetry := result.asymmetry).low, asymmetry.value) > _LARGEST_ASYMMETRY:
         found.append(
             f"the edge profile is asymmetric by {100 * asymmetry.value:.1f} % of the contrast: "
             "is the response linear (no gamma)? A second edge, a ghost and coma show so, too"
@@ -123,17 +128,6 @@ def _shape(values: Vector, result: EdgeResult, out: int) -> list[str]:
     return found
 
 
-def _corner(result: EdgeResult) -> list[str]:
-    """Two sides of a square look like one edge that bends: as a parabola, by so many degrees."""
-    turn_deg = math.degrees(math.atan(6.0 * 5.0**0.5 * result.bend_px / result.extent_px[0]))
-    if turn_deg <= _LARGEST_TURN_DEG:
-        return []
-    return [
-        f"the edge turns by {turn_deg:.0f} degrees from its middle to its ends: does the region "
-        "hold a corner, two sides of a square?"
-    ]
-
-
 def _clipping(values: Vector, result: EdgeResult) -> list[str]:
     """A clipped plateau holds its extreme value more often than the value next to it.
 
@@ -155,19 +149,14 @@ def _clipping(values: Vector, result: EdgeResult) -> list[str]:
         outer, step = levels[end], abs(levels[end + inwards] - levels[end])
         # What the model errs by passes for noise of a computed image.
         coarse = result.noise < max(step / (result.bright - result.dark), NOISELESS)
-        if coarse and not _ends_a_range(float(outer)):
+        half, bits = math.frexp(float(outer) + 1.0)  # of the largest number of 8 bits or more
+        if coarse and outer not in (0.0, 1.0) and not (half == 0.5 and bits > _FEWEST_BITS):
             continue
         share, more = counts[end] / side.size, int(counts[end]) - int(counts[end + inwards])
         surely = more > _SURELY * np.sqrt(counts[end] + counts[end + inwards])
         if surely or (share > _CLIPPED_SHARE and more > 0):
             found.append(f"{100 * share:.0f} % of the {name} pixels are clipped at {outer:g}")
     return found
-
-
-def _ends_a_range(level: float) -> bool:
-    """Tell whether a level is 0, 1 or the largest number of 8 bits or more."""
-    share, bits = math.frexp(level + 1.0)
-    return level in (0.0, 1.0) or (share == 0.5 and bits > _FEWEST_BITS)
 
 
 def largest_phase_gap_px(lines: NDArray[np.float64], angle_rad: float) -> float:

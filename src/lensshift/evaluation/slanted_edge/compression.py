@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 
@@ -40,13 +41,7 @@ def lost_std(
     Source: Widrow and Kollar, Quantization Noise, 2008, of the harmonics.
     """
     row, col = np.minimum(2.0 * _SIDE * np.abs(direction)[:, None] * frequency_cpp, _SIDE - 1.0)
-    low_row, low_col = (np.minimum(one.astype(np.intp), _SIDE - 2) for one in (row, col))
-    down, right = row - low_row, col - low_col
-    upper, lower = (
-        (1.0 - right) * steps[rows, low_col] + right * steps[rows, low_col + 1]
-        for rows in (low_row, low_row + 1)
-    )
-    step = (1.0 - down) * upper + down * lower
+    step = map_coordinates(steps, [row, col], order=1)
     oblique = np.minimum(1.0, np.minimum(row, col))
     gain = np.pi * frequency_cpp * np.sqrt(0.5 + 0.5 * oblique)
     coefficient = np.maximum(modulation / np.maximum(2.0 * gain, 1e-9), 1e-9)

@@ -131,10 +131,9 @@ class SplineBasis:
     @classmethod
     def covering(cls, half_width_px: float, step_px: float, unit_px: float) -> SplineBasis:
         """Return splines on both sides of 0, `step_px` apart for a few `unit_px`; see `_spread`."""
-        limits = [
-            4 * round(units * unit_px / step_px / 4) for units in (_FINE_UNITS, _MIDDLE_UNITS)
-        ]
-        number, narrow, parts = _spread(4 * round(half_width_px / step_px / 4), tuple(limits))
+        reaches_px = half_width_px, _FINE_UNITS * unit_px, _MIDDLE_UNITS * unit_px
+        last, *limits = (4 * round(reach_px / step_px / 4) for reach_px in reaches_px)
+        number, narrow, parts = _spread(last, (limits[0], limits[1]))
         return cls(step_px, number, np.asarray(narrow * step_px, dtype=np.float64), parts)
 
     @property
@@ -180,12 +179,11 @@ class SplineBasis:
     def transforms(self, frequency_cpp: Vector) -> tuple[Matrix, Matrix]:
         """Return the Fourier transforms of even functions [f h+1], and of odd ones over i [f h]."""
         middle = self.narrow_px.size // 2
-        right = 2.0 * self.parts[middle:]
+        right, evens = 2.0 * self.parts[middle:], self.number.size
+        right[0] *= 0.5  # the middle has no mirror image
         turn = 2.0 * np.pi * np.outer(frequency_cpp, self.narrow_px[middle:])
         shape = self.step_px * np.sinc(frequency_cpp * self.step_px)[:, None] ** 4
         even, odd = shape * np.cos(turn), -shape * np.sin(turn)
-        even[:, 0] *= 0.5  # the middle has no mirror image
-        evens = self.number.size
         return even @ right[:, :evens], odd @ right[:, evens:]
 
 

@@ -81,7 +81,9 @@ def fit_edge(edge: UprightEdge, frequency_cpp: Vector, asked: LikelySettings) ->
     side_px, seed = asked.aperture_px, asked.seed
     samples = [prepare.take_samples(edge, noise, side_px, one) for one in lights]
     placed = [_placed(edge, s, sigma, side_px, one) for s in samples for one in starts]
-    _, likelihood, best = min(placed, key=lambda one: one[0] + _lighting(one[1]))
+    # Minus the log of the flat priors of the levels: each is worth its spread.
+    spread = float(np.log(_LIGHT_SPREAD))
+    _, likelihood, best = min(placed, key=lambda one: one[0] + spread * one[1].level_count)
     drawn = posterior.drawn_around(likelihood, best, seed)
     parameters, levels, coefficients = _whole_draws(likelihood, drawn, seed)
     gathered = likelihood.gathered
@@ -145,12 +147,6 @@ def _placed(
             break
         geometry = here + step
     return found
-
-
-def _lighting(likelihood: EdgeLikelihood) -> float:
-    """Return minus the log of the flat priors of the levels: each is worth its spread."""
-    gathered = likelihood.gathered
-    return float(np.log(_LIGHT_SPREAD)) * (gathered.response + len(gathered.seen))
 
 
 def _moved(likelihood: EdgeLikelihood, parameters: Matrix, levels: Matrix) -> Matrix:

@@ -107,7 +107,7 @@ class EdgeLikelihood:
         self._mean, spread = np.vstack([lsf_prior.HYPER_PRIOR, _LOG_NOISE]).T
         self._precision = spread**-2.0
         knots, fixed = basis.size, gathered.response
-        size = fixed + len(gathered.seen)
+        self.level_count = size = fixed + len(gathered.seen)
         self._levels_precision, self._levels_centre = np.zeros(size), np.zeros(size)
         self._levels_precision[:fixed] = gathered.precision
         self._levels_centre[:fixed] = gathered.centre

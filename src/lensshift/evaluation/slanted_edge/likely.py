@@ -80,29 +80,21 @@ def _result(
     residual = np.full(region.shape, np.nan)  # of the first frame
     frame, row, col = edge.pixels.places.T
     residual[row[frame == 0], col[frame == 0]] = fit.residual[frame == 0]
+    scale, aliasing_px = frames.scale, float("nan")
+    if scale > 1:  # by how much the edge moves between pixels of different phase
+        aliasing_px = _moves_px(fit, (row % scale) * scale + col % scale)
     return EdgeResult(
         **numbers.numbers_of(blocks[0], grid, to_nyquist, fit.normal_px, fit.esf, pitch_mm),
-        method="ml",
-        region=region,
-        orientation="vertical" if edge.vertical else "horizontal",
+        method="ml", region=region, orientation="vertical" if edge.vertical else "horizontal",
         angle_rad=numbers.interval_of(edge.sign * fit.geometry[0]),
-        position_px=_position(fit, region),
-        bend_px=rms_bend_px(fit.geometry[:, 0]),
-        dark=float(dark),
-        bright=float(bright),
-        noise=noise,
-        snr=1.0 / noise,
+        position_px=_position(fit, region), bend_px=rms_bend_px(fit.geometry[:, 0]),
+        dark=float(dark), bright=float(bright), noise=noise, snr=1.0 / noise,
         mtf=MtfCurve(frequency_lpmm, wanted[:, 0], wanted[:, 1:].std(axis=1), "slanted edge"),
-        low=low,
-        high=high,
-        nyquist_lpmm=0.5 / (frames.scale * max(frames.pitch_mm)),
+        low=low, high=high, nyquist_lpmm=0.5 / (frames.scale * max(frames.pitch_mm)),
         esf=Profile(fit.normal_px, fit.esf[:, 0], fit.esf[:, 1:].std(axis=1)),
         lsf=Profile(fit.normal_px, fit.lsf[:, 0], fit.lsf[:, 1:].std(axis=1)),
-        residual=residual,
-        aliasing_px=_aliasing_px(fit, frames.scale),
-        asymmetry=_asymmetry(fit),
-        pitch_mm=pitch_mm,
-    )
+        residual=residual, aliasing_px=aliasing_px, asymmetry=_asymmetry(fit), pitch_mm=pitch_mm,
+    )  # fmt: skip
 
 
 def _position(fit: EdgeFit, region: Region) -> Interval:
@@ -114,14 +106,6 @@ def _position(fit: EdgeFit, region: Region) -> Interval:
     bends = np.polynomial.legendre.legval(0.0, [0.0, 0.0, *(bend[0] for bend in bends_px)])
     across_px = (rho_px + bends) / np.cos(angle_rad) + origin_px
     return numbers.interval_of(middle_px + edge.sign * across_px)
-
-
-def _aliasing_px(fit: EdgeFit, scale: int) -> float:
-    """Return by how much the edge moves between pixels of different phase (row, col mod scale)."""
-    if scale < 2:
-        return float("nan")
-    _, row, col = fit.edge.pixels.places.T
-    return _moves_px(fit, (row % scale) * scale + col % scale)
 
 
 def _moves_px(fit: EdgeFit, group: NDArray[np.intp]) -> float:

@@ -71,10 +71,8 @@ class SplinePrior:
         self._place = self._number * basis.step_px / unit_px
         self._unit_px = unit_px
         self._middle = basis.number.size - 1
-        # Functions that are even hold two splines over the root of 2.
-        half = basis.area_px[: basis.number.size] * np.append(
-            1.0, np.full(self._middle, _ROOT_HALF)
-        )
+        half = basis.area_px[: basis.number.size]
+        half[1:] *= _ROOT_HALF  # functions that are even hold two splines over the root of 2
         self._area_px = np.concatenate([half[:0:-1], half])
         self._lags = basis.step_px / unit_px * np.arange(2 * basis.number[-1] + 1)
 
@@ -120,8 +118,7 @@ class SplinePrior:
 
     def coefficients(self, heights: Matrix) -> Matrix:
         """Return the coefficients of the even and odd functions [j ...] that make heights."""
-        own = np.diff(heights, axis=0, prepend=0.0)
-        own /= _column(self._area_px, heights)
+        own = (np.diff(heights, axis=0, prepend=0.0).T / self._area_px).T
         right, left = own[self._middle + 1 :], own[: self._middle][::-1]
         middle = own[self._middle : self._middle + 1]
         return np.concatenate([middle, (right + left) * _ROOT_HALF, (right - left) * _ROOT_HALF])
@@ -130,8 +127,7 @@ class SplinePrior:
         """Return sums over splines [j ...] as those over what each height adds to the response."""
         even, odd = sums[: self._middle + 1], sums[self._middle + 1 :]
         right, left = (even[1:] + odd) * _ROOT_HALF, (even[1:] - odd) * _ROOT_HALF
-        own = np.concatenate([left[::-1], even[:1], right])
-        own /= _column(self._area_px, sums)
+        own: Matrix = (np.concatenate([left[::-1], even[:1], right]).T / self._area_px).T
         own[:-1] -= own[1:]
         return own
 
@@ -145,8 +141,3 @@ class SplinePrior:
 
 def _symmetry(shape: Vector | Matrix) -> Vector:
     return np.asarray(1.0 / (1.0 + np.exp(-shape[..., 3])))
-
-
-def _column(values: Vector, beside: Matrix) -> Matrix:
-    """Return values to go with each column of a matrix, or with a vector."""
-    return values.reshape(-1, *[1] * (beside.ndim - 1))

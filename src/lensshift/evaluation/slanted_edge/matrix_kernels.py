@@ -27,13 +27,10 @@ def inverted(lower: Array, out: Array) -> None:
     for i in range(size):
         row = inverse[i]
         for k in range(0, i, 4):
-            a, b, c, d = lower[i, k], 0.0, 0.0, 0.0
-            if k + 1 < i:
-                b = lower[i, k + 1]
-            if k + 2 < i:
-                c = lower[i, k + 2]
-            if k + 3 < i:
-                d = lower[i, k + 3]
+            a = lower[i, k]
+            b = lower[i, k + 1] if k + 1 < i else 0.0
+            c = lower[i, k + 2] if k + 2 < i else 0.0
+            d = lower[i, k + 3] if k + 3 < i else 0.0
             e, f, g, h = inverse[k], inverse[k + 1], inverse[k + 2], inverse[k + 3]
             for j in range(min(k + 4, i)):
                 row[j] -= a * e[j] + b * f[j] + c * g[j] + d * h[j]

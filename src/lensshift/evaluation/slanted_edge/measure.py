@@ -146,30 +146,27 @@ def measure_edges(
         raise ValueError(f"{method} does not know {', '.join(foreign)}; its options: {known}")
     given: dict[str, Any] = dict(options)
     steps = None if jpeg_steps is None else steps_of(jpeg_steps)
-    likely = _likely(given | {"jpeg_steps": steps}, scale) if method == "ml" else None
+    if method == "ml":
+        if given.get("aperture_px") is None:
+            given["aperture_px"] = scale
+        if given.get("noise_covariance") is not None:
+            given["noise_covariance"] = np.asarray(given["noise_covariance"], dtype=float)
+        likely = LikelySettings(**given, jpeg_steps=steps)
+    else:
+        from lensshift.evaluation.slanted_edge.sfrmat import measure_binned
     frames = take_frames(image, pitch_mm, offset_px=offset_px, valid=valid, scale=scale)
     places = [_given(region, frames)] if region is not None else find_regions(frames.first)
     wanted = None if frequency_lpmm is None else np.asarray(frequency_lpmm, dtype=np.float64)
     results = []
     for place in places:
-        if likely is not None:
+        if method == "ml":
             result = measure_likely(frames, place, wanted, likely)
         else:
-            from lensshift.evaluation.slanted_edge.sfrmat import measure_binned
-
             result = measure_binned(frames, place, wanted, method, given)
         for doubt in result.notes:
             warn_quality(f"edge in {result.region}: {doubt}")
         results.append(result)
     return sorted(results, key=lambda one: (one.usable, one.extent_px[0]), reverse=True)
-
-
-def _likely(given: dict[str, Any], scale: int) -> LikelySettings:
-    if given.get("aperture_px") is None:
-        given["aperture_px"] = scale
-    if given.get("noise_covariance") is not None:
-        given["noise_covariance"] = np.asarray(given["noise_covariance"], dtype=float)
-    return LikelySettings(**given)
 
 
 def _given(region: Region | Sequence[int], frames: EdgeFrames) -> Region:
@@ -178,12 +175,10 @@ def _given(region: Region | Sequence[int], frames: EdgeFrames) -> Region:
         raise ValueError(
             f"expected a region of whole row start, row stop, col start, col stop, got {ends}"
         )
-    place = Region(*(int(end) for end in ends))
-    rows, cols = frames.first.shape
-    if not (0 <= place.row_start < place.row_stop <= rows):
-        raise ValueError(f"expected rows of the region within 0 to {rows}, got {place}")
-    if not (0 <= place.col_start < place.col_stop <= cols):
-        raise ValueError(f"expected columns of the region within 0 to {cols}, got {place}")
+    place = Region(*map(int, ends))
+    for name, part, most in zip(("rows", "columns"), place.slices, frames.first.shape, strict=True):
+        if not 0 <= part.start < part.stop <= most:
+            raise ValueError(f"expected {name} of the region within 0 to {most}, got {place}")
     return place
 
 

@@ -195,15 +195,14 @@ def estimate_noise(residual: Vector, places: NDArray[np.intp], sides: list[Mask]
     if min(dark, bright) < NOISELESS:  # rounding alone; it is neither white nor of one size
         return NoiseModel(together, together, 0, np.zeros(0))
     scaled = np.full(residual.size, np.nan)
-    for side, sigma in zip(sides, (dark, bright), strict=True):
-        scaled[side] = (residual[side] - residual[side].mean()) / max(sigma, 1e-300)
+    for side in sides:
+        scaled[side] = (residual[side] - residual[side].mean()) / np.std(residual[side])
     order, prediction, _ = _best_prediction(scaled, places, np.flatnonzero(np.isfinite(scaled)))
     # Correlated residuals count for less than their number.
-    freedom = [count / (1 + 2 * order) ** 2 for count in counts]
-    if dark > 0.0 and bright > 0.0:
-        told = freedom[1], freedom[0], (bright / dark) ** 2
-        if min(fdtrc(*told), fdtr(*told)) < 0.5 * _SIGNIFICANT:
-            return NoiseModel(dark, bright, order, prediction)
+    of_dark, of_bright = (count / (1 + 2 * order) ** 2 for count in counts)
+    told = of_bright, of_dark, (bright / dark) ** 2
+    if min(fdtrc(*told), fdtr(*told)) < 0.5 * _SIGNIFICANT:
+        return NoiseModel(dark, bright, order, prediction)
     return NoiseModel(together, together, order, prediction)
 
 
@@ -254,9 +253,8 @@ def _best_prediction(
     scaled: Vector, places: NDArray[np.intp], sites: NDArray[np.intp]
 ) -> tuple[int, Vector, float]:
     """Return order and factors that foretell noise [n] at places [n 3], and the variance left."""
-    index, widest = _index_of(places), _half_plane(_LARGEST_ORDER)
-    sites = sites[:: max(1, sites.size // _MOST_SITES)]
-    found = _look_up(index, places[sites], widest)
+    widest, sites = _half_plane(_LARGEST_ORDER), sites[:: max(1, sites.size // _MOST_SITES)]
+    found = _look_up(_index_of(places), places[sites], widest)
     around = np.where(found >= 0, scaled[found], np.nan)
     whole = np.all(np.isfinite(around), axis=1)
     around, foretold = around[whole], scaled[sites[whole]]

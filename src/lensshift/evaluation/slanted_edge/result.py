@@ -227,12 +227,10 @@ def numbers_of(
     The curve [f k] as far as it is looked at; the modulation [n k] at `steps_to` the LR Nyquist
     frequency; the ESF [d k].
     """
-    at = {
-        f"mtf{round(100 * level)}_lpmm": interval_of(
-            crossings(frequency_cpp, modulation, level)
-        ).scaled(1.0 / pitch_mm)
-        for level in (0.5, 0.3, 0.1)
-    }
+    at = {}
+    for level in (0.5, 0.3, 0.1):
+        place_cpp = interval_of(crossings(frequency_cpp, modulation, level))
+        at[f"mtf{round(100 * level)}_lpmm"] = place_cpp.scaled(1.0 / pitch_mm)
     half = at["mtf50_lpmm"]
     pixel = (_PIXEL_MTF50_CPP / one for one in (half.value, half.high, half.low))
     return at | {
@@ -282,15 +280,13 @@ def average_curves(results: Sequence[EdgeResult]) -> MtfCurve:
     if len(results) == 1:
         return results[0].mtf
     frequency_lpmm = results[0].mtf.frequency_lpmm
-    values = np.stack(
-        [np.interp(frequency_lpmm, one.mtf.frequency_lpmm, one.mtf.modulation) for one in results]
-    )
+
+    def here(curve: MtfCurve, row: Vector) -> Vector:
+        return np.interp(frequency_lpmm, curve.frequency_lpmm, row)
+
+    values = np.stack([here(one.mtf, one.mtf.modulation) for one in results])
+    known = [here(one.mtf, one.mtf.std) for one in results if one.mtf.std is not None]
     label = f"mean of {len(results)} slanted edges"
-    known = [
-        np.interp(frequency_lpmm, one.mtf.frequency_lpmm, one.mtf.std)
-        for one in results
-        if one.mtf.std is not None
-    ]
     if len(known) < len(results):
         return MtfCurve(frequency_lpmm, values.mean(axis=0), None, label)
     variances = _with_scatter(values, np.stack(known) ** 2 + _LEAST_STD**2)

@@ -6,9 +6,9 @@ import numpy as np
 from scipy import ndimage
 
 from lensshift.core.arrays import Mask
+from lensshift.evaluation.edge_gradient import OF_NORMAL
 from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.prepare import Pixels, UprightEdge, turn_upright
-from lensshift.evaluation.steps import OF_NORMAL
 
 _LEAST_RISES = 3  # between the levels of a line that noise or an edge varies
 _STANDS_OUT = 6.0  # deviations; of 1e6 pixels of normal noise, none does

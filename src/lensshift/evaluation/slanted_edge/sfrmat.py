@@ -267,20 +267,9 @@ def _as_edge(
         # The original's slope is that of the columns the edge passes, line by line: for an upright
         # edge the turn of the normal has the other sign.
         angle_rad=Interval(found.angle_rad if found.rotated else -found.angle_rad),
-        position_px=unknown,
-        bend_px=0.0,
-        dark=dark,
-        bright=bright,
-        noise=noise,
-        snr=1.0 / max(noise, float(np.finfo(float).tiny)),
-        mtf=curve,
-        low=None,
-        high=None,
-        nyquist_lpmm=nyquist_cpp / pitch_mm,
-        esf=Profile(normal_px, esf),
-        lsf=Profile(normal_px, np.gradient(esf, found.bin_px)),
-        residual=None,
-        aliasing_px=float("nan"),
-        asymmetry=unknown,
-        pitch_mm=pitch_mm,
-    )
+        position_px=unknown, bend_px=0.0, dark=dark, bright=bright, noise=noise,
+        snr=1.0 / max(noise, float(np.finfo(float).tiny)), mtf=curve, low=None, high=None,
+        nyquist_lpmm=nyquist_cpp / pitch_mm, esf=Profile(normal_px, esf),
+        lsf=Profile(normal_px, np.gradient(esf, found.bin_px)), residual=None,
+        aliasing_px=float("nan"), asymmetry=unknown, pitch_mm=pitch_mm,
+    )  # fmt: skip

@@ -99,18 +99,15 @@ def edge_of_sfrmat3(rising: Matrix) -> tuple[Vector, int]:
     difference = np.diff(rising, axis=1) / 2
     difference = np.hstack([difference[:, :1], difference])  # sample k lies at k - 1/2
     lines, columns = difference.shape
-    first, _ = _centroids_of_sfrmat3(difference * hamming(columns, (columns - 1) / 2))
-    centre = polyval(np.arange(lines) + 1.0, _fitted(first, 1))
-    second, missing = _centroids_of_sfrmat3(difference * hamming(columns, centre))
-    return _fitted(second, 1), missing
-
-
-def _centroids_of_sfrmat3(weighted: Matrix) -> tuple[Vector, int]:
-    step = weighted.sum(axis=1)
-    present = step >= _LEAST_STEP
-    moment = weighted @ np.arange(weighted.shape[1])
-    place = moment / np.where(present, step, 1.0) - 0.5
-    return np.where(present, place, _NO_EDGE_PX), int(np.count_nonzero(~present))
+    centre: ArrayLike = (columns - 1) / 2
+    for _ in range(2):
+        weighted = difference * hamming(columns, centre)
+        step = weighted.sum(axis=1)
+        present = step >= _LEAST_STEP
+        place = weighted @ np.arange(columns) / np.where(present, step, 1.0) - 0.5
+        line = _fitted(np.where(present, place, _NO_EDGE_PX), 1)
+        centre = polyval(np.arange(lines) + 1.0, line)
+    return line, int(np.count_nonzero(~present))
 
 
 def bin_centroid_of_sfrmat3(lsf: Vector) -> float:
@@ -137,18 +134,16 @@ def edge_of_sfrmat5(rising: Matrix, order: int, window: Window) -> tuple[Vector,
             return hamming(columns, centre - 0.5)
         return 0.95 * hann(columns, centre - 1.0) + 0.05  # half a pixel left, as in the original
 
-    first = _centroids_of_sfrmat5(difference * weights((columns + 1) / 2))
-    centre = polyval(np.arange(lines, dtype=np.float64), _fitted(first, order))
-    second = _centroids_of_sfrmat5(difference * weights(centre))
-    return _fitted(second, order), _fitted(second, 1)
-
-
-def _centroids_of_sfrmat5(weighted: Matrix) -> Vector:
-    step = weighted.sum(axis=1)
-    flat = int(np.count_nonzero(step == 0))
-    if flat:
-        raise ValueError(f"expected an edge in each of {step.size} lines, got {flat} without one")
-    return np.asarray(weighted @ np.arange(weighted.shape[1]) / step + 0.5)
+    centre: ArrayLike = (columns + 1) / 2
+    for _ in range(2):
+        weighted = difference * weights(centre)
+        step = weighted.sum(axis=1)
+        if flat := int(np.count_nonzero(step == 0)):
+            raise ValueError(f"expected an edge in each of {lines} lines, got {flat} without one")
+        place = weighted @ np.arange(columns) / step + 0.5
+        edge = _fitted(place, order)
+        centre = polyval(np.arange(lines, dtype=np.float64), edge)
+    return edge, _fitted(place, 1)
 
 
 def _fitted(columns_px: Vector, order: int) -> Vector:
