@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lensshift.cli.inputs import check_files
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
@@ -41,22 +41,17 @@ def calibrate(current: Session, asked: _CalibrateOptions) -> None:
     """
     scan, lens_field, report = asked.scan, asked.lens_field, asked.report
     target = asked.out or scan.with_name(f"{scan.stem}_calibration.json")
-    files = [target] if report is None else [target, report]
     refined = target.with_name(f"{scan.stem}_lens_field.nc")
-    files += [] if lens_field is None else [refined]
+    files = [target, *filter(None, [report, lens_field and refined])]
     check_files((scan, lens_field), files)
     from lensshift.io import load_burst, load_lens_field, save_lens_field
     from lensshift.io.calibration_file import save_calibration
     from lensshift.pipeline.calibrate import calibrate_rig
 
     done = calibrate_rig(
-        load_burst(scan),
-        photometric=asked.photometric,
-        lens_field=None if lens_field is None else load_lens_field(lens_field),
-        psf=not asked.no_psf,
-        noise=asked.noise,
-        report=report,
-    )
+        load_burst(scan), lens_field=None if lens_field is None else load_lens_field(lens_field),
+        psf=not asked.no_psf, **picked(asked, "photometric noise report"),
+    )  # fmt: skip
     save_calibration(done.calibration, target)
     if done.fit.lens_field is not None:
         save_lens_field(done.fit.lens_field, refined)

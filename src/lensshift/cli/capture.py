@@ -15,7 +15,7 @@ from lensshift.cli.inputs import check_netcdf
 from lensshift.cli.session import Session, StatusLine, picked
 from lensshift.cli.verbs import argument, option, verb
 from lensshift.core.ending import Closing
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, printable
 
 if TYPE_CHECKING:
     from lensshift.capture.acquire import Progress
@@ -86,7 +86,9 @@ def capture(current: Session, asked: _CaptureOptions) -> None:
         return
     calibration = None if asked.calibration is None else load_calibration(asked.calibration)
     with open_rig(asked.rig, on_homing=homing_asked(yes=asked.yes)) as opened:
-        _adjust(opened, asked)
+        told = picked(asked, "frames average discard").items()
+        changes = {name: value for name, value in told if value is not None}
+        opened.acquisition = replace(opened.acquisition, **changes)
         opened.calibration = calibration or opened.calibration
         if asked.continuous and wanted is not None:
             _stream(current, opened, wanted, asked)
@@ -125,8 +127,7 @@ def _refuse_earlier(out: Path) -> None:
 
     refuse_taken(_numbered(out, 1))
     name = re.compile(rf"{re.escape(out.stem)}-\d{{4,}}{re.escape(out.suffix)}")
-    earlier = sorted(file for file in out.parent.iterdir() if name.fullmatch(file.name))
-    if earlier:
+    if earlier := sorted(file for file in out.parent.iterdir() if name.fullmatch(file.name)):
         problem = "there is a burst of this name from before; choose another name"
         raise DataError(problem, source=earlier[0])
 
@@ -144,12 +145,6 @@ def _plan(text: str) -> ShiftPlan:
         expected = ", ".join(PLANS)
         raise typer.BadParameter(f"expected a plan of {expected}, or a file, got {text!r}")
     return load_plan(text)
-
-
-def _adjust(rig: Rig, asked: _CaptureOptions) -> None:
-    given = {name: getattr(asked, name) for name in ("frames", "average", "discard")}
-    changes = {name: value for name, value in given.items() if value is not None}
-    rig.acquisition = replace(rig.acquisition, **changes)
 
 
 def _take(rig: Rig, plan: ShiftPlan | None, asked: _CaptureOptions, show: Show) -> Burst:
@@ -197,10 +192,13 @@ class Show(Closing):
             f"{rate}{_losses(now.counts)}"
         )
 
-    def named(self, name: str, now: Progress) -> None:
-        """Take note of a position of one of several acquisitions."""
+    def named(self, name: str, now: Progress | None) -> None:
+        """Take note of a position of one of several acquisitions, or that something else begins."""
         self._name = f"{name}, "
-        self(now)
+        if now is not None:
+            self(now)
+        elif not self._quiet:
+            typer.echo(printable(f"{name} ..."), err=True)
 
     def close(self) -> None:
         """End the line on a terminal."""

@@ -5,23 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from lensshift.cli import outputs
-from lensshift.cli.images import (
-    FocalOption,
-    ImageOptions,
-    Measured,
-    PhotoOptions,
-    PitchOption,
-    Unit,
-    frequency_unit,
-    interval_row,
-    measured_photograph,
-)
+from lensshift.cli import images, outputs
+from lensshift.cli.images import FocalOption, ImageOptions, PhotoOptions, PitchOption
 from lensshift.cli.inputs import parse_numbers, parse_pitch_mm, refuse_overwriting
 from lensshift.cli.mtf import EdgeOptions
-from lensshift.cli.session import Progress, Session
+from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
 if TYPE_CHECKING:
@@ -67,14 +57,13 @@ def chart(current: Session, asked: _ChartOptions) -> None:
     from lensshift.evaluation.chart_series import focus_series, measure_chart
 
     pictures, pitch = _pictures(asked)
-    unit = frequency_unit(pitch, asked.focal_length_mm)
+    unit = images.frequency_unit(pitch, asked.focal_length_mm)
+    told = asked.edges.given() | {"workers": asked.workers, "context": context}
     with Progress("measuring edges") as progress:
-        edges = measure_chart(
-            pictures, pitch.pitch_mm, workers=asked.workers, on_edge=progress.count,
-            context=context, **asked.edges.given(),
-        )  # fmt: skip
+        edges = measure_chart(pictures, pitch.pitch_mm, on_edge=progress.count, **told)
     wanted = [one / unit.factor for one in asked.edges.at or []]
     series, fits = focus_series(edges) if asked.focus is not None else ([], {})
+    fits = {zone: one.scaled(unit.factor) for zone, one in fits.items()}
     acutances = _acutances(pictures, edges, pitch.pitch_mm[0], asked.eye_heights)
     rows = list(edge_rows(edges, wanted, unit.factor))
     current.result |= {"unit": unit.name, "edges": rows}
@@ -83,15 +72,23 @@ def chart(current: Session, asked: _ChartOptions) -> None:
     for zone, one in fits.items():
         current.say(
             f"best focus {zone:<9} {one.focus:.4g} +- {one.sigma:.2g}{ending}, "
-            f"MTF50 {one.mtf50_lpmm * unit.factor:.4g} {unit.name}"
+            f"MTF50 {one.mtf50_lpmm:.4g} {unit.name}"
         )
     current.result |= {"acutance": acutances, "eye_heights": asked.eye_heights}
     current.result["best_focus"] = {
-        zone: {"focus": one.focus, "sigma": one.sigma, "mtf50": one.mtf50_lpmm * unit.factor}
-        for zone, one in fits.items()
+        zone: picked(one, "focus sigma") | {"mtf50": one.mtf50_lpmm} for zone, one in fits.items()
     }
-    _write_rows(current, asked.csv, rows, unit)
-    _annotate(current, seen, pictures, edges, unit)
+    suffix = f"_{unit.name.replace('/', '_per_').lower()}"
+    in_unit = {name for name in rows[0] if name.partition("_")[0] in ("mtf50", "mtf30", "mtf10")}
+    columns = {name + suffix * (name in in_unit): [row[name] for row in rows] for name in rows[0]}
+    outputs.write_table(current, asked.csv, columns)
+    if asked.annotate is not None:
+        from lensshift.pipeline.run import made_folder
+
+        made_folder(asked.annotate)
+    for file, photo in zip(seen, pictures, strict=False):  # none, or one of each
+        here = [edge for edge in edges if edge.image == photo.name]
+        outputs.write_plot(current, file, "chart.annotated_figure", photo.first, here, unit.name)
     if asked.report is not None:
         from lensshift.report.chart import chart_page
 
@@ -102,13 +99,13 @@ def chart(current: Session, asked: _ChartOptions) -> None:
             at_lpmm=wanted,
             acutances=acutances,
             series=[row | {"mtf50": row["mtf50_lpmm"] * unit.factor} for row in series],
-            fits={zone: one.scaled(unit.factor) for zone, one in fits.items()},
+            fits=fits,
             focus_label=f"focus ({asked.focus_unit})" if asked.focus_unit else "focus",
         ).save(asked.report)
         current.say(f"wrote {asked.report}")
 
 
-def _pictures(asked: _ChartOptions) -> tuple[list[Photograph], Measured]:
+def _pictures(asked: _ChartOptions) -> tuple[list[Photograph], images.Measured]:
     """Return the photographs, and the first as it was read, with the pitch of all."""
     from lensshift.evaluation.chart_series import Photograph
 
@@ -117,7 +114,8 @@ def _pictures(asked: _ChartOptions) -> tuple[list[Photograph], Measured]:
     places = range(count) if focus is None else parse_numbers(focus, count, expected)
     if asked.pitch_mm is not None:
         parse_pitch_mm(asked.pitch_mm)
-    read = [measured_photograph(ImageOptions(one, asked.pitch_mm), asked.photo) for one in paths]
+    wanted = [ImageOptions(path, asked.pitch_mm) for path in paths]
+    read = [images.measured_photograph(one, asked.photo) for one in wanted]
     if len({one.pitch_mm for one in read}) > 1:
         raise ValueError("expected photographs with one pitch, got several")
     names = [path.name for path in paths]
@@ -147,7 +145,7 @@ def _acutances(
 
 
 def _tell(
-    current: Session, edges: Sequence[ChartEdge], unit: Unit, acutances: dict[str, float]
+    current: Session, edges: Sequence[ChartEdge], unit: images.Unit, acutances: dict[str, float]
 ) -> None:
     """Print and keep the zones of each photograph."""
     from lensshift.evaluation.chart import zone_rows
@@ -164,21 +162,10 @@ def _tell(
                 f"  {row['zone']:<9} {row['direction']:<11} {row['edges']:>3} edges  MTF50 "
                 f"{half.scaled(unit.factor)} {unit.name}"
             )
-            told = {"mtf50_lpmm": interval_row(half), "mtf50": interval_row(half, unit.factor)}
+            told = {"mtf50_lpmm": images.interval_row(half)}
+            told["mtf50"] = images.interval_row(half, unit.factor)
             zones.append({"image": name} | row | told)
     current.result["zones"] = zones
-
-
-def _write_rows(
-    current: Session, csv: Path | None, rows: Sequence[dict[str, Any]], unit: Unit
-) -> None:
-    told = {"mtf50", "mtf30", "mtf10"}
-    suffix = unit.name.replace("/", "_per_").lower()
-    columns = {}
-    for name in rows[0]:
-        shown = f"{name}_{suffix}" if name.partition("_")[0] in told else name
-        columns[shown] = [row[name] for row in rows]
-    outputs.write_table(current, csv, columns)
 
 
 def _annotated_files(asked: _ChartOptions) -> list[Path]:
@@ -192,20 +179,3 @@ def _annotated_files(asked: _ChartOptions) -> list[Path]:
     if len(set(stems)) < len(stems):
         stems = [f"{stem}_{number}" for number, stem in enumerate(stems)]
     return [asked.annotate / f"{stem}_edges.png" for stem in stems]
-
-
-def _annotate(
-    current: Session,
-    files: Sequence[Path],
-    pictures: Sequence[Photograph],
-    edges: Sequence[ChartEdge],
-    unit: Unit,
-) -> None:
-    if not files:
-        return
-    from lensshift.pipeline.run import made_folder
-
-    made_folder(files[0].parent)
-    for file, one in zip(files, pictures, strict=True):
-        here = [edge for edge in edges if edge.image == one.name]
-        outputs.write_plot(current, file, "chart.annotated_figure", one.first, here, unit.name)

@@ -73,7 +73,7 @@ def _convert_stream(current: Session, asked: _ConvertOptions) -> None:
 
     source, target, window = asked.source, asked.target, asked.window
     if kind_of(source) is Kind.RECONSTRUCTION:
-        export_stream([(0.0, _looking(load_reconstruction(source), asked.points))], target)
+        export_stream([(0.0, _looking(load_reconstruction(source), asked))], target)
     else:
         known = sequence_numbers(source)
         time_s, written = known["time"], known["written"].nonzero()[0]
@@ -82,19 +82,20 @@ def _convert_stream(current: Session, asked: _ConvertOptions) -> None:
             text = f"{source} was broken off: {len(written)} of {len(time_s)} pictures are there"
             current.warn(text, QualityWarning, __file__, 0)
         with Progress(f"writing {target.name}") as progress:
-            windows = (_looking(load_window(source, k), asked.points) for k in numbers)
-            pictures = ((float(time_s[k]), one) for k, one in zip(numbers, windows, strict=True))
+            pictures = (
+                (float(time_s[k]), _looking(load_window(source, k), asked)) for k in numbers
+            )
             export_stream(progress.counted(pictures, len(numbers)), target)
     current.say(f"wrote {target}")
 
 
-def _looking(result: Reconstruction, points: PointOptions) -> Reconstruction:
+def _looking(result: Reconstruction, asked: _ConvertOptions) -> Reconstruction:
     """Return the result with where its pixels look, if that is told."""
     from lensshift.core.grid import Grid
 
     rows, cols = (count // result.scale for count in result.grid.shape)
     row_mm, col_mm = (pitch_mm * result.scale for pitch_mm in result.grid.pitch_mm)
-    told = points.intrinsics(Grid((rows, cols), (row_mm, col_mm)), None)
+    told = asked.points.intrinsics(Grid((rows, cols), (row_mm, col_mm)), None)
     return result if told is None else replace(result, intrinsics=told.refine(result.scale))
 
 
@@ -120,16 +121,16 @@ def _convert_burst(asked: _ConvertOptions) -> None:
 def _convert_result(current: Session, asked: _ConvertOptions) -> tuple[float, float] | None:
     from lensshift.io import export_reconstruction, load_reconstruction, load_window
 
-    source, target, points, window = asked.source, asked.target, asked.points, asked.window
+    source, target, window = asked.source, asked.target, asked.window
     if target.suffix.lower() not in (*IMAGE_SUFFIXES, ".png", *CLOUD_SUFFIXES):
         raise typer.BadParameter(
             f"{target}: a reconstruction becomes .tif, .ome.tif, .fits, .png, .npz, "
             ".ply, .pcd, .mcap or .rrd"
         )
     result = load_reconstruction(source) if window is None else load_window(source, window)
-    result = _looking(result, points)
+    result = _looking(result, asked)
     refuse_points([target], result.intrinsics, with_distance=result.distance_m is not None)
-    chosen = picked(points, "keep_flying normals")
+    chosen = picked(asked.points, "keep_flying normals")
     bits: Literal[8, 16] = 16 if asked.bits == "16" else 8
     limits = export_reconstruction(result, target, bits=bits, **chosen)
     if limits is not None:

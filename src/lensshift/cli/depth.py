@@ -9,32 +9,21 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from lensshift.cli import outputs
-from lensshift.cli.images import (
-    Measured,
-    PitchOption,
-    Region,
-    measured_frames,
-    measured_image,
-    parse_region,
-    slices_of,
-)
+from lensshift.cli import images, outputs
+from lensshift.cli.images import Measured
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 from lensshift.core.errors import QualityWarning
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-
-_SOURCE = "distance"
+    from lensshift.core.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)
 class _DepthOptions:
     image: Path = argument("Image, burst file or reconstruction.")
     truth: Path | None = argument("True distances in m, an image of the same shape.", default=None)
-    pitch_mm: PitchOption = None
+    pitch_mm: images.PitchOption = None
     scale: int | None = option(
         None, "Pixels of IMAGE per LR pixel; a reconstruction knows it.", min=1, max=16
     )
@@ -66,7 +55,7 @@ def depth(current: Session, asked: _DepthOptions) -> None:
       lensshift evaluate depth frames.nc --repeated
     """
     image, truth = asked.image, asked.truth
-    place = parse_region(asked.plane)
+    place = images.parse_region(asked.plane)
     outputs.check([image, truth], asked.to.csv, plot=asked.to.plot)
     measured = _distance_image(image, asked.pitch_mm, asked.key, asked.frame)
     options: dict[str, Any] = {
@@ -102,34 +91,32 @@ def _distance_image(path: Path, pitch_mm: str | None, key: str | None, frame: in
 
     from lensshift.core.units import doubt_about_distance
 
-    found = measured_image(path, pitch_mm, key=key, frame=frame, distances=True)
+    found = images.measured_image(path, pitch_mm, key=key, frame=frame, distances=True)
     known = found.values[np.isfinite(found.values)]
     if doubt := doubt_about_distance(float(np.median(known)) if known.size else None):
         warnings.warn(f"{path}: {doubt}", QualityWarning, stacklevel=2)
     return found
 
 
-def _errors(
-    current: Session, measured: Measured, true_m: NDArray[Any], options: dict[str, Any]
-) -> None:
+def _errors(current: Session, measured: Measured, true_m: Array, options: dict[str, Any]) -> None:
     from lensshift.evaluation.depth import depth_error
 
     found = asdict(depth_error(measured.values, true_m, valid=measured.valid, **options))
     current.result |= found
-    for name, label in (
-        ("rmse_m", "RMSE"),
-        ("mae_m", "mean absolute error"),
-        ("bias_m", "bias"),
-        ("edge_rmse_m", "RMSE near edges"),
-        ("flat_rmse_m", "RMSE elsewhere"),
+    for label, value_m in (
+        ("RMSE", found["rmse_m"]),
+        ("mean absolute error", found["mae_m"]),
+        ("bias", found["bias_m"]),
+        ("RMSE near edges", found["edge_rmse_m"]),
+        ("RMSE elsewhere", found["flat_rmse_m"]),
     ):
-        known = found[name] == found[name]
-        current.say(f"{label:<22}{f'{1e3 * found[name]:.2f} mm' if known else 'no such pixel'}")
+        told = f"{1e3 * value_m:.2f} mm" if value_m == value_m else "no such pixel"
+        current.say(f"{label:<22}{told}")
     current.say(f"{'fill rate':<22}{100 * found['fill_rate']:.1f} % of the true pixels")
 
 
 def _edge_place(
-    current: Session, measured: Measured, true_m: NDArray[Any], along: Any, options: dict[str, Any]
+    current: Session, measured: Measured, true_m: Array, along: Any, options: dict[str, Any]
 ) -> None:
     from lensshift.evaluation.depth import edge_location_error
 
@@ -143,7 +130,7 @@ def _edge_place(
 
 
 def _surfaces(
-    current: Session, measured: Measured, true_m: NDArray[Any] | None, options: dict[str, Any]
+    current: Session, measured: Measured, true_m: Array | None, options: dict[str, Any]
 ) -> None:
     from lensshift.evaluation.depth import fill_rate
     from lensshift.evaluation.surface import flying_pixel_fraction
@@ -161,14 +148,14 @@ def _surfaces(
 
 
 def _plane(
-    current: Session, measured: Measured, region: Region, focal_length_mm: float | None
+    current: Session, measured: Measured, region: images.Region, focal_length_mm: float | None
 ) -> None:
     import numpy as np
 
     from lensshift.evaluation.surface import fit_plane
 
     rows, cols = measured.values.shape
-    cut = slices_of(region, (rows, cols))
+    cut = images.slices_of(region, (rows, cols))
     if not focal_length_mm or not measured.has_pitch:
         raise typer.BadParameter(
             "--plane needs --focal-length-mm and the pitch, to turn distances into points"
@@ -192,7 +179,7 @@ def _plane(
 def _noise(current: Session, path: Path) -> None:
     from lensshift.evaluation.noise import temporal_noise
 
-    frames = measured_frames(path, key=_SOURCE)
+    frames = images.measured_frames(path, key="distance")
     found = temporal_noise(frames.values, valid=frames.valid)
     current.result["temporal_noise_m"] = found.median
     current.say(

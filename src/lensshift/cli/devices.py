@@ -82,15 +82,11 @@ def say_rig(current: Session, file: Path) -> None:
         current.say(f"image       {rig.calibration.source} map, px per mm:")
         for line in per_mm:
             current.say(f"            {line[0]:+9.4f} {line[1]:+9.4f}")
+        camera = {"name": rig.camera.name, "shape": rig.camera.grid.shape, "rate_hz": rate_hz}
+        camera |= {"counts": dict(rig.camera.counts()), **rig.camera.describe()}
         current.result |= {
             "stage": {"name": rig.stage.name, "position_mm": [row, col], **known},
-            "camera": {
-                "name": rig.camera.name,
-                "shape": rig.camera.grid.shape,
-                "rate_hz": rate_hz,
-                "counts": dict(rig.camera.counts()),
-                **rig.camera.describe(),
-            },
+            "camera": camera,
             "calibration": {"source": rig.calibration.source, "px_per_mm": per_mm},
         }
 

@@ -13,10 +13,8 @@ from lensshift.cli.capture import Show
 from lensshift.cli.devices import YesOption, homing_asked, on_terminal
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb
-from lensshift.core.errors import printable
 
 if TYPE_CHECKING:
-    from lensshift.capture.acquire import Progress
     from lensshift.pipeline.doctor import Diagnosis
 
 
@@ -56,7 +54,7 @@ def doctor(current: Session, asked: _DoctorOptions) -> None:
             asked.rig or asked.file,
             folder,
             on_homing=homing_asked(yes=asked.yes),
-            on_step=lambda what, now: _step(show, current, what, now),
+            on_step=show.named,
         )
     if asked.rig is None and done.calibration is not None:
         with_calibration(asked.file, folder / "calibration.json")
@@ -66,13 +64,6 @@ def doctor(current: Session, asked: _DoctorOptions) -> None:
 
 def _ask(question: str, likely: str) -> str:
     return str(typer.prompt(question, default=likely or None, err=True)).strip()
-
-
-def _step(show: Show, current: Session, what: str, now: Progress | None) -> None:
-    if now is not None:
-        show.named(what, now)
-    elif not current.as_json:
-        typer.echo(printable(f"{what} ..."), err=True)
 
 
 def _say(current: Session, done: Diagnosis) -> None:

@@ -61,10 +61,10 @@ def fidelity(current: Session, asked: _FidelityOptions) -> None:
     values = measured_image(asked.image, None, key=asked.key, frame=asked.frame).values
     truth = measured_image(asked.truth, None, key=asked.truth_key).values
     if values.shape != truth.shape:
-        shapes = ("{} x {} px".format(*one.shape) for one in (values, truth))
+        both = " and ".join("{} x {} px".format(*one.shape) for one in (values, truth))
         raise DataError(
-            "expected as many pixels as the truth, got {} and {}; compare the result of "
-            "`lensshift reconstruct` at the scale of the truth".format(*shapes),
+            f"expected as many pixels as the truth, got {both}; compare the result of "
+            "`lensshift reconstruct` at the scale of the truth",
             source=asked.image,
         )
     if truth.dtype.kind in "ui" and truth.max() > peak:

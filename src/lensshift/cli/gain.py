@@ -107,7 +107,6 @@ def _say(current: Session, found: ResolutionGain) -> None:
 def _table(gains: Sequence[ResolutionGain]) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {"edge": list(range(len(gains)))}
     for name, _ in _RATIOS:
-        for end in ("value", "low", "high"):
-            column = name if end == "value" else f"{name}_{end}"
+        for end, column in (("value", name), ("low", f"{name}_low"), ("high", f"{name}_high")):
             columns[column] = [getattr(getattr(one, name), end) for one in gains]
     return columns | {"noise": [one.noise for one in gains]}

@@ -13,7 +13,7 @@ from lensshift.cli.verbs import option, verb
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from lensshift.evaluation.edge_gradient import EdgeGradient, GradientRatio
+    from lensshift.evaluation.edge_gradient import EdgeGradient
 
 
 _DISTANCE_SHARE, _SHARE = 0.05, 0.10  # limits of the paper
@@ -65,9 +65,9 @@ def gradient(current: Session, asked: _GradientOptions) -> None:
         fine = images.measured_of(replace(asked.of, pitch_mm=None, key=of_fine))
         coarse = images.measured_image(against, asked.of.pitch_mm, key=of_coarse)
     fine, scale = (fine, 1) if coarse is None else images.finer(fine, coarse)
-    usual = _DISTANCE_SHARE if key == "distance" else _SHARE
-    cut = usual if asked.share is None else asked.share
-    options: dict[str, Any] = {"share": cut, "limits": asked.limits, "plateaus": asked.plateaus}
+    options = picked(asked, "share limits plateaus")
+    if asked.share is None:
+        options["share"] = _DISTANCE_SHARE if key == "distance" else _SHARE
     lines, step_mm = _lines(fine, place, asked, scale)
     found = edge_gradient(lines, step_mm=step_mm, **options)
     _say(current, found, fine.length)
@@ -119,7 +119,7 @@ def _ends(interval: tuple[float, float] | None) -> str:
 def _compare(current: Session, fine: EdgeGradient, coarse: EdgeGradient) -> None:
     from lensshift.evaluation.edge_gradient import gradient_ratio
 
-    ratio: GradientRatio = gradient_ratio(fine, coarse)
+    ratio = gradient_ratio(fine, coarse)
     ends = _ends(ratio.interval)
     ends += " from the means of the lines" if ends else ""
     current.say(f"  ratio              {ratio.ratio:.4g}{ends}")
@@ -130,9 +130,7 @@ def _compare(current: Session, fine: EdgeGradient, coarse: EdgeGradient) -> None
 
 
 def _row(found: EdgeGradient) -> dict[str, Any]:
-    averaged = found.averaged
-    return picked(found, "mean_per_mm median_per_mm interval_per_mm slope_per_mm") | {
-        "lines": len(found.lines),
-        "averaged_per_mm": None if averaged is None else averaged.normalised_per_mm,
-        "averaged_width_mm": None if averaged is None else averaged.width_mm,
-    }
+    row = picked(found, "mean_per_mm median_per_mm interval_per_mm slope_per_mm")
+    row["lines"] = len(found.lines)
+    row["averaged_per_mm"] = found.averaged and found.averaged.normalised_per_mm
+    return row | {"averaged_width_mm": found.averaged and found.averaged.width_mm}

@@ -15,13 +15,12 @@ from lensshift.cli.verbs import argument, option
 from lensshift.core.errors import DataError, QualityWarning
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from lensshift.core.arrays import Array
     from lensshift.core.grid import Grid
     from lensshift.core.types import Burst
 
 
+Pitch = tuple[float, float]  # (row, col)
 Region = tuple[int, int, int, int]  # row start, row stop, col start, col stop
 PitchOption = Annotated[
     str | None,
@@ -72,13 +71,13 @@ class PhotoOptions:
 class Measured:
     """An image to be measured."""
 
-    values: NDArray[Any]  # [row col], or [frame row col] with `offset_px`
+    values: Array  # [row col], or [frame row col] with `offset_px`
     pitch_mm: tuple[float, float]  # (row, col); 1 where the pitch is not known
     has_pitch: bool  # whether it is
-    valid: NDArray[Any] | None = None  # mask like `values`, or None
+    valid: Array | None = None  # mask like `values`, or None
     scale: int = 1  # LR pixels are that many pixels wide
-    offset_px: NDArray[Any] | None = None  # [frame 2] or None
-    jpeg_steps: NDArray[Any] | None = None  # [8 8] of a JPEG, as of `measure_edges`, or None
+    offset_px: Array | None = None  # [frame 2] or None
+    jpeg_steps: Array | None = None  # [8 8] of a JPEG, as of `measure_edges`, or None
 
     @property
     def length(self) -> str:
@@ -101,32 +100,29 @@ def measured_image(
     kind, named = kind_of(path), key or ("distance" if distances else None)
     if kind is Kind.BURST:
         burst = load_burst(path)
-        pitch, told = _pitch_of(burst.grid, 1, path, pitch_mm)
-        values = _one_frame(_burst_channel(burst, path, named), path, frame)
-        valid = _one_frame(burst.valid, path, frame)
-        return Measured(values, pitch, told, valid)
+        pitch = _pitch_of(burst.grid, 1, path, pitch_mm)
+        frames = _burst_channel(burst, path, named), burst.valid
+        values, valid = (_one_frame(one, path, frame) for one in frames)
+        return Measured(values, *pitch, valid)
     if kind is not Kind.STACK:
         one = kind is Kind.RECONSTRUCTION
         result = load_reconstruction(path) if one else load_window(path, frame)
         name = named or next(iter(result.channels))
         if name not in result.channels:
             raise DataError(f"expected {' or '.join(result.channels)}, got {name!r}", source=path)
-        image = result.channels[name].image
-        pitch, told = _pitch_of(result.grid, result.scale, path, pitch_mm)
-        return Measured(image, pitch, told, scale=result.scale)
+        pitch = _pitch_of(result.grid, result.scale, path, pitch_mm)
+        return Measured(result.channels[name].image, *pitch, scale=result.scale)
     if path.suffix.lower() == ".npz":
-        arrays = load_named_arrays(path)
-        usual = "distance_m" if distances else "amplitude"
-        frames = arrays[_image_name(arrays, path, key, usual)]
+        image = _named(
+            load_named_arrays(path), path, key, "distance_m" if distances else "amplitude"
+        )
     else:
         keys_of(key, path)
-        frames = load_frames(path)
-    return Measured(_one_frame(frames, path, frame), *_given_pitch(pitch_mm))
+        image = load_frames(path)
+    return Measured(_one_frame(image, path, frame), *_given_pitch(pitch_mm))
 
 
-def _pitch_of(
-    grid: Grid, scale: int, path: Path, pitch_mm: str | None
-) -> tuple[tuple[float, float], bool]:
+def _pitch_of(grid: Grid, scale: int, path: Path, pitch_mm: str | None) -> tuple[Pitch, bool]:
     """Return the pitch of a file, or the one given for it, and whether it is known."""
     if grid.tells_pitch(scale):
         if pitch_mm is not None:
@@ -135,7 +131,7 @@ def _pitch_of(
     return _given_pitch(pitch_mm)
 
 
-def _given_pitch(pitch_mm: str | None) -> tuple[tuple[float, float], bool]:
+def _given_pitch(pitch_mm: str | None) -> tuple[Pitch, bool]:
     from lensshift.core.units import doubt_about_pitch
 
     if pitch_mm is None:
@@ -163,24 +159,20 @@ def measured_of(asked: ImageOptions) -> Measured:
 def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
     """Read one image; of a photograph one channel, as linear light."""
     from lensshift.evaluation.levels import bayer_frames, linear_light, one_channel
+    from lensshift.io import photograph
     from lensshift.io.image_file import JPEG_SUFFIXES
-    from lensshift.io.photograph import (
-        PHOTOGRAPH_SUFFIXES,
-        load_jpeg_steps,
-        load_oecf,
-        load_photograph,
-    )
 
-    path, pitch_mm, suffix = asked.image, asked.pitch_mm, asked.image.suffix.lower()
-    if suffix not in PHOTOGRAPH_SUFFIXES and options == PhotoOptions():
+    path, suffix = asked.image, asked.image.suffix.lower()
+    taken = suffix in photograph.PHOTOGRAPH_SUFFIXES
+    if not taken and options == PhotoOptions():
         return measured_of(asked)
     if options.gamma is not None and options.oecf is not None:
         raise typer.BadParameter("expected --gamma or --oecf, not both")
-    curve = options.gamma if options.oecf is None else load_oecf(options.oecf)
-    if suffix in PHOTOGRAPH_SUFFIXES:
+    curve = options.gamma if options.oecf is None else photograph.load_oecf(options.oecf)
+    if taken:
         keys_of(asked.key, path)
-        levels = load_photograph(path, frame=asked.frame)
-        read = Measured(levels, *_given_pitch(pitch_mm))
+        levels = photograph.load_photograph(path, frame=asked.frame)
+        read = Measured(levels, *_given_pitch(asked.pitch_mm))
     else:
         read = measured_of(asked)
     if curve is None and suffix in JPEG_SUFFIXES:
@@ -191,10 +183,10 @@ def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
         )
     light, channel = linear_light(read.values, curve), options.channel
     if options.bayer is None:
-        steps = load_jpeg_steps(path)
+        steps = photograph.load_jpeg_steps(path)
         if steps is not None:  # in levels of the light
-            levels = read.values
-            steps *= (light.max() - light.min()) / max(int(levels.max()) - int(levels.min()), 1)
+            span = int(read.values.max()) - int(read.values.min())
+            steps *= (light.max() - light.min()) / max(span, 1)
         return replace(read, values=one_channel(light, channel), jpeg_steps=steps)
     values, offset_px = bayer_frames(one_channel(light), options.bayer, channel or "green")
     pitch = (2.0 * read.pitch_mm[0], 2.0 * read.pitch_mm[1])
@@ -210,13 +202,9 @@ def measured_frames(path: Path, *, key: str | None = None) -> Measured:
     if kind_of(path) is not Kind.BURST:
         raise typer.BadParameter(f"--joint needs a burst file, got {path}")
     burst = load_burst(path)
-    return Measured(
-        _burst_channel(burst, path, key),
-        burst.grid.pitch_mm,
-        burst.grid.tells_pitch(),
-        burst.valid,
-        offset_px=burst.offset_px,
-    )
+    pitch = burst.grid.pitch_mm, burst.grid.tells_pitch()
+    frames = _burst_channel(burst, path, key)
+    return Measured(frames, *pitch, burst.valid, offset_px=burst.offset_px)
 
 
 def finer(fine: Measured, coarse: Measured) -> tuple[Measured, int]:
@@ -259,10 +247,11 @@ def parse_region(text: str | None) -> Region | None:
     """Return a region from "0,16,20,50"."""
     if text is None:
         return None
-    numbers = parse_numbers(text, 4, "a region like 0,16,20,50")
+    expected = "a region like 0,16,20,50"
+    numbers = parse_numbers(text, 4, expected)
     if not all(number.is_integer() for number in numbers):  # NaN is none
-        raise typer.BadParameter(f"expected a region like 0,16,20,50, got {text!r}")
-    return cast(Region, tuple(int(number) for number in numbers))
+        raise typer.BadParameter(f"expected {expected}, got {text!r}")
+    return cast(Region, tuple(map(int, numbers)))
 
 
 def scaled(region: Region | None, scale: int) -> Region | None:
@@ -285,7 +274,7 @@ def interval_row(number: Any, factor: float = 1.0) -> dict[str, float]:
     return picked(number.scaled(factor), "value low high")
 
 
-def _burst_channel(burst: Burst, path: Path, key: str | None = None) -> NDArray[Any]:
+def _burst_channel(burst: Burst, path: Path, key: str | None = None) -> Array:
     """Return the frames [frame row col] of a channel, by default the amplitude."""
     channels = {"amplitude": burst.amplitude, "distance": burst.distance_m}
     frames = channels.get(key or "amplitude")
@@ -295,7 +284,7 @@ def _burst_channel(burst: Burst, path: Path, key: str | None = None) -> NDArray[
     return frames
 
 
-def _one_frame(values: NDArray[Any], path: Path, frame: int) -> NDArray[Any]:
+def _one_frame(values: Array, path: Path, frame: int) -> Array:
     """Return one image [row col] of frames, or the image itself."""
     if values.ndim == 2 and frame == 0:
         return values
@@ -305,17 +294,16 @@ def _one_frame(values: NDArray[Any], path: Path, frame: int) -> NDArray[Any]:
         raise DataError(
             f"expected a frame from 0 to {values.shape[0] - 1}, got {frame}", source=path
         )
-    image: NDArray[Any] = values[frame]
+    image: Array = values[frame]
     return image
 
 
-def _image_name(
-    arrays: dict[str, NDArray[np.generic]], path: Path, key: str | None, usual: str
-) -> str:
+def _named(arrays: dict[str, Array], path: Path, key: str | None, usual: str) -> Array:
+    """Return the array that is asked for or usual, else the only image."""
     images = [name for name, values in arrays.items() if values.ndim in (2, 3)]
     candidates = [key] if key else [usual] if usual in arrays else images
     if len(candidates) == 1 and candidates[0] in arrays:
-        return candidates[0]
+        return arrays[candidates[0]]
     raise DataError(
         f"cannot tell which array to take; choose a key among {', '.join(arrays)}", source=path
     )

@@ -69,22 +69,20 @@ def info(current: Session, asked: _InfoOptions) -> None:
     kind = kind_of(file)
     current.result |= {"file": file, "kind": kind.value, "schema": schema}
     heading = f"{file}: {kind.value}" + (f", schema {schema}" if schema else "")
+    # Files are read before a word is said: they may be damaged.
     if kind is Kind.RECONSTRUCTION:
-        result = load_reconstruction(file)  # before a word is said: it may be damaged
-        current.say(heading)
-        _say_result(current, result)
+        _say_result(current, load_reconstruction(file), heading)
     elif kind is Kind.SEQUENCE:
         current.say(heading)
         _say_sequence(current, file)
     elif kind is Kind.STACK:
         _say_stack(current, file, asked.stack, heading)
     else:
-        burst = load_input_burst(file, asked.stack)
-        current.say(heading)
-        _say_burst(current, burst)
+        _say_burst(current, load_input_burst(file, asked.stack), heading)
 
 
-def _say_burst(current: Session, burst: Burst) -> None:
+def _say_burst(current: Session, burst: Burst, heading: str) -> None:
+    current.say(heading)
     current.tell(burst.grid, "pitch_mm")
     current.tell(burst, "modulation_hz offset_source offset_px offset_sigma_px")
     view = view_of(burst.intrinsics, burst.grid.shape)
@@ -97,9 +95,7 @@ def _say_burst(current: Session, burst: Burst) -> None:
     _say_frames(current, burst.amplitude, burst.distance_m, burst.valid)
     _say_pitch(current, burst.grid)
     modulation = ", ".join(f"{hz:g} Hz" for hz in burst.frequencies_hz) or "not known"
-    current.say(
-        f"modulation  {modulation}" + ("" if burst.phasors is None else ", phasors of each")
-    )
+    current.say(f"modulation  {modulation}{', phasors of each' * (burst.phasors is not None)}")
     current.say(f"looks       {view_text(view)}")
     current.say(f"offsets     {burst.offset_source}, (row, col) in px:")
     rows = [f"  {k:>4}  {row:+9.4f} {col:+9.4f}" for k, (row, col) in enumerate(burst.offset_px)]
@@ -121,13 +117,11 @@ def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) 
     with_offsets = stack.offsets is not None or "offset_px" in fields or frames.shape[-3] == 1
     with_pitch = stack.pitch_mm is not None or "pitch_mm" in fields
     if with_offsets and with_pitch:
-        burst = load_input_burst(file, stack)
-        current.say(heading)
-        _say_burst(current, burst)
+        _say_burst(current, load_input_burst(file, stack), heading)
         return
     current.say(heading)
-    missing = ([] if with_offsets else ["offsets"]) + ([] if with_pitch else ["pitch_mm"])
-    current.result["missing"] = missing
+    known = {"offsets": with_offsets, "pitch_mm": with_pitch}
+    current.result["missing"] = [name for name, told in known.items() if not told]
     _say_frames(current, frames, fields.get("distance_m"), fields.get("valid"))
     if not with_offsets:
         current.say("shifts      not told: --offsets, or `lensshift reconstruct` finds them")
@@ -179,7 +173,9 @@ def _say_sequence(current: Session, file: Path) -> None:
     _say_result(current, load_window(file, written[0]))
 
 
-def _say_result(current: Session, result: Reconstruction) -> None:
+def _say_result(current: Session, result: Reconstruction, heading: str = "") -> None:
+    if heading:
+        current.say(heading)
     rows, cols = result.grid.shape
     current.say(f"image       {rows} x {cols} px, x{result.scale} by {result.method}")
     _say_pitch(current, result.grid, result.scale)

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 from lensshift.cli import optics, outputs
 from lensshift.cli.lens_design import budget, check_out, optimise, tolerance, write_lens
 from lensshift.cli.lens_field import field as lens_field
 from lensshift.cli.lens_refine import refine
 from lensshift.cli.lens_report import report
-from lensshift.cli.session import Session
+from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb, verb_group
-
-if TYPE_CHECKING:
-    from lensshift.optics.lens import Lens
 
 lens_verbs = verb_group()
 
@@ -72,18 +70,16 @@ def show(current: Session, asked: _ShowOptions) -> None:
         f"{model.name or asked.of.lens}, {model.wavelength_nm:g} nm, {model.temperature_c:g} C"
     )
     rows = []
-    for number, (part, indices) in enumerate(
-        zip(model.elements, model.indices(), strict=True), start=1
-    ):
-        focal_mm, gain = focal_length_mm(part, indices), float(gains[number - 1])
-        gap_mm = model.gaps_mm[number - 1]
+    parts = zip(model.elements, model.indices(), model.gaps_mm, gains.tolist(), strict=True)
+    for number, (part, indices, gap_mm, gain) in enumerate(parts, start=1):
+        focal_mm = focal_length_mm(part, indices)
         current.say(
             f"  {number} {part.name or 'element':<18.18} f {focal_mm:9.3f} mm, "
             f"{part.length_mm:6.3f} mm {' + '.join(part.glass):<12} "
             f"then {gap_mm:8.3f} mm air, image moves {gain:+.4f} mm per mm"
         )
-        rows.append({"name": part.name, "focal_length_mm": focal_mm, "gap_mm": gap_mm})
-        rows[-1] |= {"length_mm": part.length_mm, "glass": part.glass, "gain": gain}
+        row = picked(part, "name length_mm glass") | {"focal_length_mm": focal_mm}
+        rows.append(row | {"gap_mm": gap_mm, "gain": gain})
     for name, value in asdict(data).items():
         unit = " mm" if name.endswith("_mm") else ""
         label = name.removesuffix("_mm").replace("_", " ")
@@ -133,7 +129,9 @@ def mtf(current: Session, asked: _MtfOptions) -> None:
     """
     import numpy as np
 
-    from lensshift.optics.otf import diffraction_limit
+    from lensshift.optics.mtf import fast_mtf
+    from lensshift.optics.otf import diffraction_limit, exact_otf
+    from lensshift.optics.shift import moving
 
     outputs.check([Path(asked.of.lens)], asked.csv, plot=asked.plot)
     model, grid, moved = optics.opened_moving(asked.of)
@@ -144,7 +142,13 @@ def mtf(current: Session, asked: _MtfOptions) -> None:
     highest = asked.highest_lpmm or _CURVES_NYQUIST * nyquist_lpmm
     frequency = np.linspace(0.0, highest, _CURVE_STEPS + 1)
     frequency = np.unique([*frequency, nyquist_lpmm, 2 * nyquist_lpmm])
-    curves = _curves(model, moved, travel_mm, fields_tan, frequency, band, asked.fast)
+    mtf_of, curves = (fast_mtf if asked.fast else exact_otf), {}
+    states = {"at rest": None, "moved": moving(model, moved, np.asarray(travel_mm))}
+    for field_tan, (name, build) in product(fields_tan, states.items()):
+        row_deg, col_deg = np.rad2deg(np.arctan(field_tan))
+        found = np.abs(mtf_of(model, field_tan, frequency, build=build, band=band))
+        for direction, values in zip(("columns", "rows"), found, strict=True):
+            curves[f"{row_deg:.1f}/{col_deg:.1f} deg, along {direction}, {name}"] = values
     limit = diffraction_limit(model, frequency, band=band).modulation
     current.say(f"{'':<42}{nyquist_lpmm:8.3f}  {2 * nyquist_lpmm:8.3f} LP/mm")
     for label, values in (curves | {"diffraction limit": limit}).items():
@@ -160,38 +164,6 @@ def mtf(current: Session, asked: _MtfOptions) -> None:
     figures = optics.lens_figures(model, moved, travel_mm, grid, fields_tan, highest_lpmm=highest)
     drawn, of, options = figures["map" if asked.figure == "field" else asked.figure]
     outputs.write_plot(current, asked.plot, drawn, *of, **options)
-
-
-def _curves(
-    model: Lens,
-    element: int,
-    travel_mm: tuple[float, float],
-    fields_tan: list[tuple[float, float]],
-    frequency_lpmm: Any,
-    band: Any,
-    fast: bool,
-) -> dict[str, Any]:
-    """Return the MTF curves by field, direction and position of the element."""
-    import numpy as np
-
-    from lensshift.optics.mtf import fast_mtf
-    from lensshift.optics.otf import exact_otf
-    from lensshift.optics.shift import moving
-
-    curves = {}
-    for row_tan, col_tan in fields_tan:
-        row_deg, col_deg = np.rad2deg(np.arctan([row_tan, col_tan]))
-        for name, build in (
-            ("at rest", None),
-            ("moved", moving(model, element, np.asarray(travel_mm))),
-        ):
-            mtf_of = fast_mtf if fast else exact_otf
-            field = (row_tan, col_tan)
-            found = np.abs(mtf_of(model, field, frequency_lpmm, build=build, band=band))
-            for direction, values in zip(("columns", "rows"), found, strict=True):
-                label = f"{row_deg:.1f}/{col_deg:.1f} deg, along {direction}, {name}"
-                curves[label] = values
-    return curves
 
 
 @dataclass(frozen=True, slots=True)

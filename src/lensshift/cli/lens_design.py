@@ -144,11 +144,9 @@ def _designs(places: list[str], goal: Goal, element: int | None, keep: int) -> t
     with Progress("optimising") as progress:
         if element is not None and all(len(place) == 1 for place in stock):
             parts = [part for place in stock for part in place[0].elements]
-            name = " + ".join(part.name for part in parts)
-            best = optimise_gaps(
-                parts, goal, element=element - 1, name=name, on_progress=progress.count
-            )
-            return (best,)
+            told: dict[str, Any] = {"name": " + ".join(part.name for part in parts)}
+            told |= {"element": element - 1, "on_progress": progress.count}
+            return (optimise_gaps(parts, goal, **told),)
         movers = None if element is None else [element - 1]
         return search_stock(stock, goal, movers=movers, keep=keep, on_progress=progress.count)
 
@@ -200,27 +198,22 @@ def tolerance(current: Session, asked: _ToleranceOptions) -> None:
     Example:
       lensshift lens tolerance petzval_search --element 2 --builds 1000 --plot tolerance.png
     """
-    from lensshift.optics.tolerance import (
-        Tolerances,
-        format_sensitivity,
-        sensitivity_table,
-        tolerance_analysis,
-    )
+    from lensshift.optics import tolerance as building
 
     outputs.check([Path(asked.of.lens)], asked.to.csv, plot=asked.to.plot)
     model, grid, moved = optics.opened_moving(asked.of)
     shift_px, builds = asked.of.shift_px, asked.builds
-    limits = Tolerances(
+    limits = building.Tolerances(
         asked.decenter_mm, math.radians(asked.tilt_deg), asked.gap_mm, asked.focal_share,
         asked.index,
     )  # fmt: skip
-    table = sensitivity_table(model, moved, grid, limits, shift_px=shift_px)
+    table = building.sensitivity_table(model, moved, grid, limits, shift_px=shift_px)
     with Progress("building") as progress:
-        found = tolerance_analysis(
+        found = building.tolerance_analysis(
             model, moved, grid, limits, builds=builds, seed=asked.seed, shift_px=shift_px,
             on_progress=progress.count,
         )  # fmt: skip
-    current.say(format_sensitivity(table))
+    current.say(building.format_sensitivity(table))
     _say_builds(current, found, builds, asked.limit)
     current.result |= {"lens": model.name or asked.of.lens, "element": moved + 1}
     current.result["sensitivity"] = [asdict(row) | {"element": row.element + 1} for row in table]
@@ -279,14 +272,9 @@ def budget(current: Session, asked: _BudgetOptions) -> None:
 
     outputs.check([Path(asked.of.lens)], plot=asked.plot)
     model, grid, moved = optics.opened_moving(asked.of)
-    found = actuator_budget(
-        model,
-        moved,
-        grid,
-        Actuator(asked.repeatability_um, asked.backlash_um, asked.encoder_um, asked.drift_um),
-        noise=asked.noise,
-        shift_px=asked.of.shift_px,
-    )
+    errors = Actuator(asked.repeatability_um, asked.backlash_um, asked.encoder_um, asked.drift_um)
+    told = {"noise": asked.noise, "shift_px": asked.of.shift_px}
+    found = actuator_budget(model, moved, grid, errors, **told)
     current.say(format_budget(found))
     if not found.shift_error_px:
         current.say(

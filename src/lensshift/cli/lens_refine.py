@@ -17,7 +17,6 @@ from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
-    from lensshift.core.grid import Grid
     from lensshift.optics.lens import Lens
     from lensshift.optics.task import Task
 
@@ -103,6 +102,7 @@ def refine(current: Session, asked: _RefineOptions) -> None:
 def _say(current: Session, start: Lens, found: Lens, task: Task) -> None:
     from lensshift.optics.paraxial import paraxial
     from lensshift.optics.refine import ray_error_um
+    from lensshift.optics.which import judged_lpmm, least_mtf
 
     data, errors = paraxial(found), {}
     shares = ", ".join(f"{share:g}" for share in task.shares)
@@ -115,7 +115,11 @@ def _say(current: Session, start: Lens, found: Lens, task: Task) -> None:
         f"focal length {data.focal_length_mm:.4g} mm, f/{data.f_number:.3g}, "
         f"{length_mm:.4g} mm from the first vertex to the sensor"
     )
-    least = _least_mtf(found, task.grid, task)
+    highest_lpmm = judged_lpmm(task.grid)  # the Nyquist frequency of twice as many pixels
+    least = {
+        lpmm: least_mtf(found, task.grid, frequency_lpmm=lpmm, band=task.band)[0]
+        for lpmm in (0.5 * highest_lpmm, highest_lpmm)
+    }
     current.say(
         "least MTF over the sensor: "
         + ", ".join(f"{value:.3f} at {lpmm:.4g} LP/mm" for lpmm, value in least.items())
@@ -123,17 +127,6 @@ def _say(current: Session, start: Lens, found: Lens, task: Task) -> None:
     current.result |= {"ray_error_um": errors, "focal_length_mm": data.focal_length_mm}
     current.result |= {"f_number": data.f_number, "track_mm": length_mm}
     current.result["least_mtf"] = [{"lpmm": lpmm, "mtf": mtf} for lpmm, mtf in least.items()]
-
-
-def _least_mtf(lens: Lens, grid: Grid, task: Task) -> dict[float, float]:
-    """Return the least MTF at the Nyquist frequencies of the pixels and of twice as many."""
-    from lensshift.optics.which import judged_lpmm, least_mtf
-
-    highest_lpmm = judged_lpmm(grid)
-    return {
-        lpmm: least_mtf(lens, grid, frequency_lpmm=lpmm, band=task.band)[0]
-        for lpmm in (0.5 * highest_lpmm, highest_lpmm)
-    }
 
 
 def _numbers(text: str) -> tuple[float, ...]:

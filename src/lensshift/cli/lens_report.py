@@ -65,7 +65,7 @@ def report(current: Session, asked: _ReportOptions) -> None:
         current.say(f"{name:<32}" + "".join(f"{value:>12}" for value in values))
     current.result |= {"lens": model.name or asked.of.lens, "fields": rows}
     if out is not None:
-        page = _page(model, asked.of.lens, moved, shift_px, grid, band)
+        page = _page(model, asked.of.lens, shift_px, grid, band)
         page.heading("Over the field")
         page.table(rows)
         page.heading("Figures")
@@ -87,18 +87,20 @@ def _row(lens: Lens, grid: Grid, field_tan: Any, band: Band | None) -> dict[str,
     from lensshift.optics.spots import spots
 
     row_deg, col_deg = (math.degrees(math.atan(tangent)) for tangent in field_tan)
-    double_lpmm = 1.0 / max(grid.pitch_mm)
-    low, high = section_mtf(lens, field_tan, [0.5 * double_lpmm, double_lpmm], band=band).T
+    at_lpmm = np.array([0.5, 1.0]) / max(grid.pitch_mm)
     focus = focal_surfaces(lens, field_tan)
-    half, whole = ensquared_energy(
-        lens, field_tan, np.array([0.5, 1.0]) * min(grid.pitch_mm), band=band
-    )
+    sides_mm = np.array([0.5, 1.0]) * min(grid.pitch_mm)
+    half, whole = ensquared_energy(lens, field_tan, sides_mm, band=band)
+    row = {"field, row/column (degrees)": f"{abs(row_deg):.2f}/{abs(col_deg):.2f}"}
+    both = zip(at_lpmm, section_mtf(lens, field_tan, at_lpmm, band=band).T, strict=True)
+    modulation = {
+        f"MTF {section} at {lpmm:.3g} LP/mm": float(value)
+        for lpmm, found in both
+        for section, value in zip("TS", found, strict=True)
+    }
     return {
-        "field, row/column (degrees)": f"{abs(row_deg):.2f}/{abs(col_deg):.2f}",
-        f"MTF T at {0.5 * double_lpmm:.3g} LP/mm": float(low[0]),
-        f"MTF S at {0.5 * double_lpmm:.3g} LP/mm": float(low[1]),
-        f"MTF T at {double_lpmm:.3g} LP/mm": float(high[0]),
-        f"MTF S at {double_lpmm:.3g} LP/mm": float(high[1]),
+        **row,
+        **modulation,
         "focus T behind the sensor (mm)": float(focus.tangential_mm),
         "focus S behind the sensor (mm)": float(focus.sagittal_mm),
         "light in half a pixel (%)": 100.0 * float(half),
@@ -108,9 +110,7 @@ def _row(lens: Lens, grid: Grid, field_tan: Any, band: Band | None) -> dict[str,
     }
 
 
-def _page(
-    model: Lens, name: str, moved: int, shift_px: float, grid: Grid, band: Band | None
-) -> Page:
+def _page(model: Lens, name: str, shift_px: float, grid: Grid, band: Band | None) -> Page:
     """Return the page with the first-order data, the elements and what can move."""
     from lensshift.optics.aberrations import petzval_curvature_per_mm
     from lensshift.optics.movers import which_mover
@@ -127,38 +127,25 @@ def _page(
     )
     data = asdict(paraxial(model))
     data["petzval_radius_mm"] = 1.0 / (petzval_curvature_per_mm(model) or math.inf)
-    first_order = [
-        {"first order": key.removesuffix("_mm").replace("_", " "), "value": float(value)}
-        | {"unit": "mm" if key.endswith("_mm") else ""}
+    page.table([
+        {"first order": key.removesuffix("_mm").replace("_", " "), "value": float(value),
+         "unit": "mm" if key.endswith("_mm") else ""}
         for key, value in data.items()
-    ]
-    page.table(first_order)
+    ])  # fmt: skip
     page.heading("Elements")
     parts = zip(model.elements, model.indices(), model.gaps_mm, strict=True)
-    elements = [
-        {
-            "element": number,
-            "name": part.name,
-            "glass": " + ".join(part.glass),
-            "focal length (mm)": focal_length_mm(part, indices),
-            "thickness (mm)": part.length_mm,
-            "air behind it (mm)": gap_mm,
-        }
+    page.table([
+        {"element": number, "name": part.name, "glass": " + ".join(part.glass),
+         "focal length (mm)": focal_length_mm(part, indices), "thickness (mm)": part.length_mm,
+         "air behind it (mm)": gap_mm}
         for number, (part, indices, gap_mm) in enumerate(parts, start=1)
-    ]
-    page.table(elements)
+    ])  # fmt: skip
     page.heading(f"What can move the image by {shift_px:g} px along both axes")
-    movers = [
-        {
-            "what moves": label_of(mover),
-            "stroke": mover.stroke_text,
-            "error of the shift (px)": mover.max_shift_error_px,
-            "cross-talk (px)": mover.cross_talk_px,
-            "least MTF at rest": mover.mtf_centred,
-            "moved": mover.mtf_moved,
-            "loss": mover.mtf_loss,
-        }
+    page.table([
+        {"what moves": label_of(mover), "stroke": mover.stroke_text,
+         "error of the shift (px)": mover.max_shift_error_px,
+         "cross-talk (px)": mover.cross_talk_px, "least MTF at rest": mover.mtf_centred,
+         "moved": mover.mtf_moved, "loss": mover.mtf_loss}
         for mover in which_mover(model, grid, shift_px=shift_px)
-    ]
-    page.table(movers)
+    ])  # fmt: skip
     return page

@@ -130,6 +130,7 @@ def _source(asked: _LiveOptions) -> AbstractContextManager[Source]:
 
 @contextmanager
 def _rig(rig: str, asked: _LiveOptions) -> Iterator[Source]:
+    from lensshift.capture.opening import open_rig
     from lensshift.live.sources import RigSource
 
     if rig == "emulated":
@@ -137,8 +138,6 @@ def _rig(rig: str, asked: _LiveOptions) -> Iterator[Source]:
 
         opening = emulated_rig()
     else:
-        from lensshift.capture.opening import open_rig
-
         opening = open_rig(rig, on_homing=homing_asked(yes=asked.yes))  # type: ignore[assignment]
     with opening as opened:
         if asked.calibration is not None:
@@ -181,11 +180,5 @@ def _simulated(name: str, asked: _LiveOptions) -> Source:
         scene = experiment.scene
     if not math.isfinite(asked.rate_hz):
         raise typer.BadParameter("expected a finite --rate-hz")
-    return SimulatedSource(
-        scene,
-        experiment.camera,
-        asked.pattern,
-        rate_hz=asked.rate_hz,
-        shift_error_px=experiment.shift_error_px,
-        seed=experiment.seed,
-    )
+    told = picked(experiment, "shift_error_px seed") | {"rate_hz": asked.rate_hz}
+    return SimulatedSource(scene, experiment.camera, asked.pattern, **told)

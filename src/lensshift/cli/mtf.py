@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from lensshift.cli import images, outputs
+from lensshift.cli.images import Measured, Region, Unit
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import option, verb
 
@@ -35,8 +37,7 @@ class EdgeOptions:
 
     def given(self) -> dict[str, Any]:
         """Return the options of `measure_edges` that were given."""
-        told = {name: value for name, value in asdict(self).items() if value is not None}
-        return {name: value for name, value in told.items() if name != "at"}
+        return {k: one for k, one in asdict(self).items() if one is not None and k != "at"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +98,7 @@ def mtf(current: Session, asked: _MtfOptions) -> None:
     outputs.write_plot(current, asked.to.plot, "edges.edge_figure", results, shown, **unit.shown())
 
 
-def edges_of(
-    measured: images.Measured, region: images.Region | None, **options: Any
-) -> list[EdgeResult]:
+def edges_of(measured: Measured, region: Region | None, **options: Any) -> list[EdgeResult]:
     """Measure the edges of an image, or of a region of it."""
     from lensshift.evaluation.slanted_edge import measure_edges
 
@@ -110,27 +109,39 @@ def edges_of(
 def _tell(
     current: Session,
     results: Sequence[EdgeResult],
-    unit: images.Unit,
+    unit: Unit,
     length: str,
     at: Sequence[float],
 ) -> tuple[MtfCurve, Any]:
     """Print and keep the numbers of edges and of their mean; return its curve and frequencies."""
-    from lensshift.evaluation.slanted_edge import average_curves, usable_edges
+    from lensshift.evaluation.chart import modulation_at
+    from lensshift.evaluation.slanted_edge import average_curves, average_interval, usable_edges
 
     edges = []
     for result in results:
-        say_edge(current, result, unit, length)
-        rows = at_rows(result.mtf, unit, at)
+        current.say(
+            f"edge in {result.region}: {result.orientation}, "
+            f"{math.degrees(result.angle_rad.value):.2f} degrees, contrast "
+            f"{100 * result.contrast:.0f} %, SNR {result.snr:.3g}"
+        )
+        numbers = {name: getattr(result, name) for name, _, _ in NUMBERS}
+        _say_numbers(current, numbers, unit, length, result.sample_nyquist_lpmm)
+        rows = [
+            {"frequency": one} | images.interval_row(modulation_at(result.mtf, one / unit.factor))
+            for one in at
+        ]
         edges.append(edge_row(result, unit) | {"at": rows})
         for row in rows:
             shown = f"{row['value']:.4g} ({row['low']:.4g} to {row['high']:.4g})"
-            known = row["value"] == row["value"]
-            text = shown if known else "beyond the curve"
+            text = shown if row["value"] == row["value"] else "beyond the curve"
             current.say(f"  MTF at {row['frequency']:<16g}{text}")
     used = usable_edges(results)
-    mean = _mean(used)
+    mean = {name: average_interval([getattr(one, name) for one in used]) for name, _, _ in NUMBERS}
     if len(results) > 1:
-        current.say(f"mean of {len(used)} usable of {len(results)} edges{_range(used, unit)}")
+        values = [one.mtf50_lpmm.value * unit.factor for one in used]
+        known = [value for value in values if value == value]
+        ends = f", MTF50 from {min(known):.4g} to {max(known):.4g} {unit.name}" if known[1:] else ""
+        current.say(f"mean of {len(used)} usable of {len(results)} edges{ends}")
         _say_numbers(current, mean, unit, length)
     curve = average_curves(results)
     frequency = curve.frequency_lpmm * unit.factor
@@ -141,67 +152,24 @@ def _tell(
     return curve, frequency
 
 
-def _range(results: Sequence[EdgeResult], unit: images.Unit) -> str:
-    """Return between what the MTF50 of edges lies, for people."""
-    values = [result.mtf50_lpmm.value * unit.factor for result in results]
-    known = [value for value in values if value == value]
-    if len(known) < 2:
-        return ""
-    return f", MTF50 from {min(known):.4g} to {max(known):.4g} {unit.name}"
-
-
-def say_edge(current: Session, result: EdgeResult, unit: images.Unit, length: str) -> None:
-    """Print an edge and its numbers."""
-    import numpy as np
-
-    current.say(
-        f"edge in {result.region}: {result.orientation}, "
-        f"{np.rad2deg(result.angle_rad.value):.2f} degrees, contrast "
-        f"{100 * result.contrast:.0f} %, SNR {result.snr:.3g}"
-    )
-    numbers = {name: getattr(result, name) for name, _, _ in NUMBERS}
-    _say_numbers(current, numbers, unit, length, result.sample_nyquist_lpmm)
-
-
-def at_rows(curve: MtfCurve, unit: images.Unit, at: Sequence[float]) -> list[dict[str, float]]:
-    """Return the modulation at frequencies in the unit, for JSON."""
-    from lensshift.evaluation.chart import modulation_at
-
-    return [
-        {"frequency": one} | images.interval_row(modulation_at(curve, one / unit.factor))
-        for one in at
-    ]
-
-
 def _say_numbers(
     current: Session,
     numbers: dict[str, Interval],
-    unit: images.Unit,
+    unit: Unit,
     length: str,
     nyquist_lpmm: float | None = None,
 ) -> None:
     for name, label, kind in NUMBERS:
-        number, ending = numbers[name], ""
+        number, ending = numbers[name], {"frequency": f" {unit.name}", "length": f" {length}"}
+        told = ending.get(kind, "")
         if kind == "frequency":
             beyond = nyquist_lpmm is not None and number.value > nyquist_lpmm
-            number, ending = number.scaled(unit.factor), f" {unit.name}"
-            ending += ", beyond the Nyquist frequency of the pixels" if beyond else ""
-        elif kind == "length":
-            ending = f" {length}"
-        known = number.value == number.value
-        current.say(f"  {label:<23}{number}{ending if known else ''}")
+            told += ", beyond the Nyquist frequency of the pixels" if beyond else ""
+            number = number.scaled(unit.factor)
+        current.say(f"  {label:<23}{number}{told if number.value == number.value else ''}")
 
 
-def _mean(results: Sequence[EdgeResult]) -> dict[str, Interval]:
-    from lensshift.evaluation.slanted_edge import average_interval
-
-    return {
-        name: average_interval([getattr(result, name) for result in results])
-        for name, _, _ in NUMBERS
-    }
-
-
-def _rows(numbers: dict[str, Interval], unit: images.Unit) -> dict[str, Any]:
+def _rows(numbers: dict[str, Interval], unit: Unit) -> dict[str, Any]:
     """Return numbers for JSON, frequencies also in the unit."""
     rows = {name: images.interval_row(number) for name, number in numbers.items()}
     for name in ("mtf50", "mtf30", "mtf10"):
@@ -209,7 +177,7 @@ def _rows(numbers: dict[str, Interval], unit: images.Unit) -> dict[str, Any]:
     return rows
 
 
-def edge_row(result: EdgeResult, unit: images.Unit) -> dict[str, Any]:
+def edge_row(result: EdgeResult, unit: Unit) -> dict[str, Any]:
     """Return an edge for JSON."""
     row: dict[str, Any] = {"region": str(result.region), "orientation": result.orientation}
     names = ("angle_rad", "position_px", *(name for name, _, _ in NUMBERS), "asymmetry")

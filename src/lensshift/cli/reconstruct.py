@@ -11,22 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from lensshift.cli.inputs import (
-    BurstArgument,
-    StackOptions,
-    beside,
-    check_files,
-    check_netcdf,
-    load_input_burst,
-)
-from lensshift.cli.methods import (
-    MethodOption,
-    WeightOption,
-    check_method,
-    parse_frames,
-    parse_options,
-    parse_weight,
-)
+from lensshift.cli import inputs, methods
 from lensshift.cli.points import CLOUD_SUFFIXES, PointOptions, refuse_points
 from lensshift.cli.recording import Split, is_recording, reconstruct_windows
 from lensshift.cli.register import with_shifts
@@ -35,7 +20,6 @@ from lensshift.cli.verbs import option, verb
 from lensshift.core.errors import QualityWarning, naming
 
 if TYPE_CHECKING:
-    from lensshift.core.point_cloud import PointCloud
     from lensshift.core.types import Burst, Reconstruction
 
 _WIDTH_SOURCES = {
@@ -67,10 +51,10 @@ def width_px(text: str) -> float | None:
 class ReconstructOptions:
     """Options of `lensshift reconstruct`."""
 
-    burst: BurstArgument
+    burst: inputs.BurstArgument
     out: Path | None = option(None, "Result file; default: BURST_xSCALE.nc beside it.", "-o")
     scale: int = option(2, "Upscaling factor.", min=1, max=8)
-    method: MethodOption = "auto"
+    method: methods.MethodOption = "auto"
     channel: Literal["auto", "amplitude", "distance", "phasor"] = option(
         "auto", "What to reconstruct."
     )
@@ -82,7 +66,7 @@ class ReconstructOptions:
         parser=width_px,
         metavar="PX|auto",
     )
-    prior_weight: WeightOption = "auto"
+    prior_weight: methods.WeightOption = "auto"
     method_options: list[str] | None = option(
         None,
         "Option of the method, as in iterations=30; repeatable; see `lensshift methods`.",
@@ -117,7 +101,7 @@ class ReconstructOptions:
         None, "Also write .tif, .ome.tif, .fits, .png, .npz, .ply or .pcd; repeatable."
     )
     points: PointOptions = field(default_factory=PointOptions)
-    stack: StackOptions = field(default_factory=StackOptions)
+    stack: inputs.StackOptions = field(default_factory=inputs.StackOptions)
     split: Split = field(default_factory=Split)
 
 
@@ -141,15 +125,15 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
     settings = picked(
         asked, "scale method channel noise_sigma fill_factor non_negative photometric seed device"
     )
-    settings |= {"prior_weight": parse_weight(asked.prior_weight)}
-    settings |= {"frames": parse_frames(asked.frames)}
-    check_method(asked.method)
-    settings |= parse_options(asked.method, asked.method_options or [])
+    settings |= {"prior_weight": methods.parse_weight(asked.prior_weight)}
+    settings |= {"frames": methods.parse_frames(asked.frames)}
+    methods.check_method(asked.method)
+    settings |= methods.parse_options(asked.method, asked.method_options or [])
     if is_recording(asked):
         reconstruct_windows(current, asked, settings)
         return
     files = _plan(asked)
-    burst = load_input_burst(asked.burst, asked.stack, to_register=True)
+    burst = inputs.load_input_burst(asked.burst, asked.stack, to_register=True)
     burst, known = _located(current, burst, asked)
     burst = _looking(burst, asked)
     if asked.psf_sigma_px is not None or asked.fill_factor is not None:
@@ -160,6 +144,8 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
 
 def _looking(burst: Burst, asked: ReconstructOptions) -> Burst:
     """Return the burst with where its pixels look, as far as it is told or known."""
+    from lensshift.io.image_formats import is_ome
+
     intrinsics = asked.points.intrinsics(burst.grid, burst.intrinsics)
     waves = burst.amplitude.dtype.kind == "c"
     phasors = waves and burst.modulation_hz is not None
@@ -170,19 +156,13 @@ def _looking(burst: Burst, asked: ReconstructOptions) -> Burst:
             QualityWarning,
             stacklevel=1,
         )
-    if waves and not phasors and (lost := [p for p in asked.export or () if _is_plain(p)]):
-        raise ValueError(f"{lost[0]}: the frames are complex; take .npz, .ome.tif or .fits")
+    for path in asked.export or () if waves and not phasors else ():
+        if path.suffix.lower() in (".tif", ".tiff", ".png") and not is_ome(path):
+            raise ValueError(f"{path}: the frames are complex; take .npz, .ome.tif or .fits")
     distances = phasors or burst.phasors is not None or burst.distance_m is not None
     distances = distances and asked.channel != "amplitude"
     refuse_points(asked.export or (), intrinsics, with_distance=distances)
     return replace(burst, intrinsics=intrinsics)
-
-
-def _is_plain(path: Path) -> bool:
-    """Tell whether a name is that of one picture of real numbers."""
-    from lensshift.io.image_formats import is_ome
-
-    return path.suffix.lower() in (".tif", ".tiff", ".png") and not is_ome(path)
 
 
 def _located(
@@ -258,8 +238,8 @@ def _reconstruct(
     for path in exports:
         export_reconstruction(result, path, bits=16, **picked(points, "keep_flying normals"))
     _preview(burst, result, settings, preview)
-    shape = result.grid.shape
-    current.say(f"{result.method} x{result.scale}: {shape[0]} x {shape[1]} px in {seconds:.2f} s")
+    rows, cols = shape = result.grid.shape
+    current.say(f"{result.method} x{result.scale}: {rows} x {cols} px in {seconds:.2f} s")
     if "psf_source" in result.settings:
         width_px, told_by = (result.settings[name] for name in ("psf_sigma_px", "psf_source"))
         undone_px = blur_width_px(result.settings["blur"])
@@ -270,16 +250,10 @@ def _reconstruct(
         current.say(f"blur {width_px:.3g}{spread} px, {_WIDTH_SOURCES[told_by]}{undone}")
     say_channels(current, result)
     current.wrote(*files)
-    current.result |= {
-        "input": source,
-        "frame_count": count,
-        "method": result.method,
-        "scale": result.scale,
-        "shape": shape,
-        "seconds": seconds,
-        "flying_share": None if result.flying is None else float(result.flying.mean()),
-        "settings": dict(result.settings),
-    }
+    current.result |= {"input": source, "frame_count": count}
+    current.result |= picked(result, "method scale") | {"shape": shape, "seconds": seconds}
+    flying = None if result.flying is None else float(result.flying.mean())
+    current.result |= {"flying_share": flying, "settings": dict(result.settings)}
 
 
 def _adds_little(burst: Burst) -> str:
@@ -321,27 +295,23 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
         return
     from lensshift.report.save import save_figure
 
-    save_figure(result_figure(result, reference, title=title, cloud=_points(result)), path)
-
-
-def _points(result: Reconstruction) -> PointCloud | None:
-    """Return the points, if it is known where they are."""
-    if result.intrinsics is None or result.distance_m is None:
-        return None
-    cloud = result.point_cloud()
-    return cloud if len(cloud) else None
+    placed = result.intrinsics is not None and result.distance_m is not None
+    cloud = result.point_cloud() if placed else None
+    figure = result_figure(result, reference, title=title, cloud=cloud or None)
+    save_figure(figure, path)
 
 
 def _plan(asked: ReconstructOptions) -> list[Path]:
     """Decide all names, and complain before the work rather than after it."""
-    result, exports = asked.out or beside(asked.burst, f"_x{asked.scale}.nc"), asked.export or []
-    other = result.suffix.lower() in EXPORT_SUFFIXES
-    check_netcdf(result, "the result", f"; use --export for {result.suffix}" if other else "")
+    result = asked.out or inputs.beside(asked.burst, f"_x{asked.scale}.nc")
+    other, exports = result.suffix.lower() in EXPORT_SUFFIXES, asked.export or []
+    cure = f"; use --export for {result.suffix}" if other else ""
+    inputs.check_netcdf(result, "the result", cure)
     for path in exports:
         if path.suffix.lower() not in EXPORT_SUFFIXES:
             raise typer.BadParameter(
                 f"{path}: expected a name that ends in {', '.join(EXPORT_SUFFIXES)}"
             )
     files = [result, result.with_name(f"{result.stem}_preview.png"), *exports]
-    check_files((asked.burst, asked.stack.offsets), files)
+    inputs.check_files((asked.burst, asked.stack.offsets), files)
     return files

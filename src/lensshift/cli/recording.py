@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from lensshift.cli.inputs import (
-    Kind,
-    StackOptions,
-    check_netcdf,
-    kind_of,
-    refuse_overwriting,
-)
+from lensshift.cli import inputs
 from lensshift.cli.points import PointOptions
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option
@@ -55,7 +49,7 @@ def is_recording(asked: ReconstructOptions) -> bool:
     names = ("frames", "lens_field", "calibration", "export")
     told = [f"--{name.replace('_', '-')}" for name in names if getattr(asked, name)]
     told += ["--motion"] * (asked.motion != "auto")
-    told += ["options of image stacks (convert it first)"] * (asked.stack != StackOptions())
+    told += ["options of image stacks (convert it first)"] * (asked.stack != inputs.StackOptions())
     told += ["options of points (convert the sequence)"] * (asked.points != PointOptions())
     if told:
         raise typer.BadParameter(f"{', '.join(told)}: not together with --window")
@@ -73,12 +67,12 @@ def reconstruct_windows(
 
     source, split = asked.burst, asked.split
     target = asked.out or source.with_name(f"{source.stem}_x{asked.scale}_windows.nc")
-    if kind_of(source) is Kind.STACK:
+    if inputs.kind_of(source) is inputs.Kind.STACK:
         raise typer.BadParameter(
             f"{source}: --window takes a burst file; lensshift convert makes one of images"
         )
-    check_netcdf(target, "a sequence")
-    refuse_overwriting((source,), (target,))
+    inputs.check_netcdf(target, "a sequence")
+    inputs.refuse_overwriting((source,), (target,))
     if target.exists():
         raise typer.BadParameter(f"{target} exists; choose another name or remove it")
     kept = {name: value for name, value in settings.items() if name != "frames"}

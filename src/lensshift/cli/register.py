@@ -6,14 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from lensshift.cli.inputs import (
-    BurstArgument,
-    StackOptions,
-    beside,
-    check_files,
-    check_netcdf,
-    load_input_burst,
-)
+from lensshift.cli import inputs
 from lensshift.cli.session import Session, Waiting, picked
 from lensshift.cli.verbs import option, verb
 
@@ -24,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _RegisterOptions:
-    burst: BurstArgument
+    burst: inputs.BurstArgument
     out: Path | None = option(None, "Burst file; default: BURST_registered.nc beside it.", "-o")
     method: Literal["auto", "gradient", "phase"] = option("auto", "How the shifts are found.")
     motion: Literal["auto", "shift", "affine"] = option(
@@ -36,7 +29,7 @@ class _RegisterOptions:
     reference: int = option(0, "Frame whose offset is kept.", min=0)
     photometric: bool = option(False, "Allow frames to differ by a factor and a constant.")
     use_given: bool = option(False, "Weigh the burst's own offsets by their errors.")
-    stack: StackOptions = field(default_factory=StackOptions)
+    stack: inputs.StackOptions = field(default_factory=inputs.StackOptions)
 
 
 @verb("finding the shifts")
@@ -53,13 +46,12 @@ def register(current: Session, asked: _RegisterOptions) -> None:
     from lensshift.io import save_burst
     from lensshift.registration import register as find_shifts
 
-    target = asked.out or beside(asked.burst, "_registered.nc")
-    check_netcdf(target, "a burst")
-    check_files((asked.burst, asked.stack.offsets), (target,))
-    found = find_shifts(
-        load_input_burst(asked.burst, asked.stack, to_register=True),
-        **picked(asked, "method motion channel reference photometric use_given"),
-    )
+    target = asked.out or inputs.beside(asked.burst, "_registered.nc")
+    inputs.check_netcdf(target, "a burst")
+    inputs.check_files((asked.burst, asked.stack.offsets), (target,))
+    burst = inputs.load_input_burst(asked.burst, asked.stack, to_register=True)
+    told = picked(asked, "method motion channel reference photometric use_given")
+    found = find_shifts(burst, **told)
     save_burst(found, target)
     current.result["input"] = asked.burst
     _say(current, found)

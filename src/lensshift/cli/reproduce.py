@@ -31,12 +31,9 @@ def reproduce(current: Session, asked: _ReproduceOptions) -> None:
 
     with Progress("experiments of the paper", preparing=True) as progress:
         found = reproduce_paper(
-            asked.out,
-            quick=asked.quick,
-            processes=asked.processes or _cores(),
-            on_step=progress.count,
-            command=shlex.join(["lensshift", *sys.argv[1:]]),
-        )
+            asked.out, quick=asked.quick, processes=asked.processes or _cores(),
+            on_step=progress.count, command=shlex.join(["lensshift", *sys.argv[1:]]),
+        )  # fmt: skip
     for claim in found.claims:
         low, high = claim.interval
         current.say(
@@ -46,9 +43,8 @@ def reproduce(current: Session, asked: _ReproduceOptions) -> None:
     if found.not_done:
         current.say("not done: " + "; ".join(found.not_done))
     current.say(f"{found.seconds:.0f} s, wrote " + ", ".join(map(str, found.files)))
-    current.result |= {
-        "claims": [asdict(claim) | {"verdict": claim.verdict} for claim in found.claims]
-    }
+    claims = [asdict(claim) | {"verdict": claim.verdict} for claim in found.claims]
+    current.result["claims"] = claims
     current.tell(found, "not_done seconds files")
 
 

@@ -106,13 +106,9 @@ def _with_rig(current: Session, asked: _RunOptions) -> None:
 
     with Show(current) as show:
         result, files = run_bench(
-            asked.rig,
-            asked.out,
-            scale=scale,
-            method=method,
-            on_step=lambda _, now: show(now),
-            on_homing=homing_asked(yes=asked.yes),
-        )
+            asked.rig, asked.out, scale=scale, method=method,
+            on_step=lambda _, now: show(now), on_homing=homing_asked(yes=asked.yes),
+        )  # fmt: skip
     say_channels(current, result)
     current.wrote(*files)
     current.result["method"] = result.method

@@ -60,7 +60,10 @@ def simulate(current: Session, asked: _SimulateOptions) -> None:
     """
     out, phases = asked.out, asked.phases
     truth_file = out.parent / f"{out.stem}.truth.npz"
-    _check_outputs(asked, truth_file)
+    check_netcdf(out, "a burst")
+    if phases is not None and phases.suffix.lower() != ".npz":
+        raise typer.BadParameter(f"expected phases that end in .npz, got {phases}")
+    outputs.check((Path(asked.scene), Path(asked.camera)), out, truth_file, phases)
     from lensshift.camera import named_pattern_px, simulate_tof
     from lensshift.io import save_burst
     from lensshift.pipeline.experiment_file import named_scene
@@ -92,15 +95,6 @@ def simulate(current: Session, asked: _SimulateOptions) -> None:
     current.wrote(*files)
     current.tell(burst, "frame_count offset_px")
     current.result |= {"shape": burst.grid.shape, "valid_share": valid}
-
-
-def _check_outputs(asked: _SimulateOptions, truth_file: Path) -> None:
-    """Complain before the work about names that cannot be written."""
-    out, phases = asked.out, asked.phases
-    check_netcdf(out, "a burst")
-    if phases is not None and phases.suffix.lower() != ".npz":
-        raise typer.BadParameter(f"expected phases that end in .npz, got {phases}")
-    outputs.check((Path(asked.scene), Path(asked.camera)), out, truth_file, phases)
 
 
 def _camera(asked: _SimulateOptions) -> TofCamera:

@@ -14,6 +14,7 @@ from lensshift.cli.mtf import edges_of
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
 
+Pair = tuple[float, float]
 Profile = Literal["sine", "square"]  # that a pattern was printed with
 CenterOption = Annotated[
     str | None, typer.Option("--center-px", help="Centre as row,col; found if not given.")
@@ -52,16 +53,9 @@ def star(current: Session, asked: _StarOptions) -> None:
 
     measured, unit = _to_measure(asked)
     found = siemens_star_mtf(
-        measured.values,
-        cycles=asked.cycles,
-        pitch_mm=measured.pitch_mm,
-        center_px=_pair(asked.center_px, "a centre like 7.5,31.5"),
-        radius_range_mm=_pair(asked.radius, "radii like 0.4,1.2"),
-        profile=asked.profile,
-        levels=_pair(asked.levels, "levels like 100,3000"),
-        sectors=asked.sectors,
-        valid=measured.valid,
-    )
+        measured.values, radius_range_mm=_pair(asked.radius, "radii like 0.4,1.2"),
+        **picked(asked, "cycles profile sectors"), **_told(asked, measured),
+    )  # fmt: skip
     _say_place(current, asked, found, f"star of {asked.cycles} cycles")
     current.result["cycles"] = asked.cycles
     _say_curve(current, found.mtf, unit, "over all directions")
@@ -95,16 +89,11 @@ def zone(current: Session, asked: _ZoneOptions) -> None:
     from lensshift.evaluation.zone_plate import zone_plate_response
 
     measured, unit = _to_measure(asked)
-    lr_pitch = tuple(measured.scale * pitch for pitch in measured.pitch_mm)
+    row_mm, col_mm = (measured.scale * pitch for pitch in measured.pitch_mm)
     found = zone_plate_response(
-        measured.values,
-        pitch_mm=measured.pitch_mm,
-        chirp_lpmm_per_mm=asked.chirp,
-        center_px=_pair(asked.center_px, "a centre like 7.5,31.5"),
-        lr_pitch_mm=(lr_pitch[0], lr_pitch[1]) if measured.scale > 1 else None,
-        levels=_pair(asked.levels, "levels like 100,3000"),
-        valid=measured.valid,
-    )
+        measured.values, chirp_lpmm_per_mm=asked.chirp,
+        lr_pitch_mm=(row_mm, col_mm) if measured.scale > 1 else None, **_told(asked, measured),
+    )  # fmt: skip
     _say_place(current, asked, found, "zone plate")
     for name in ("radial", "row", "col"):
         _say_curve(current, getattr(found, name), unit, name)
@@ -139,11 +128,8 @@ def frc(current: Session, asked: _FrcOptions) -> None:
         for path, key in zip(files, images.keys_of(asked.key, *files), strict=True)
     )
     found = fourier_ring_correlation(one.values, other.values, pitch_mm=one.pitch_mm)
-    unit = images.frequency_unit(one, None)
-    for label, cutoff in (
-        ("half-bit threshold", found.cutoff_lpmm),
-        ("threshold of 1/7", found.fixed_cutoff_lpmm),
-    ):
+    unit, cutoffs = images.frequency_unit(one, None), (found.cutoff_lpmm, found.fixed_cutoff_lpmm)
+    for label, cutoff in zip(("half-bit threshold", "threshold of 1/7"), cutoffs, strict=True):
         place = "never crossed" if cutoff is None else f"crossed at {cutoff:.4g} {unit.name}"
         current.say(f"{label:<20}{place}")
     columns = picked(found, "frequency_lpmm correlation half_bit")
@@ -221,8 +207,7 @@ def resolution(current: Session, asked: _ResolutionOptions) -> None:
 
 def _pattern(current: Session, asked: _ResolutionOptions, seen: images.Measured) -> Any:
     """Return the curve of the star, zone plate or bars."""
-    levels = _pair(asked.levels, "levels like 100,3000")
-    common: dict[str, Any] = {"pitch_mm": seen.pitch_mm, "levels": levels, "valid": seen.valid}
+    common = picked(seen, "pitch_mm valid") | {"levels": _levels(asked)}
     found: Any
     if asked.bars:
         from lensshift.evaluation.gratings import gratings_mtf
@@ -231,13 +216,12 @@ def _pattern(current: Session, asked: _ResolutionOptions, seen: images.Measured)
         printed: Any = asked.profile or "square"
         lines, regions = zip(*groups, strict=True)
         found = gratings_mtf(seen.values, lines, regions=regions, profile=printed, **common)
-        unit = images.frequency_unit(seen, None)
-        for line, box, value in zip(
-            found.mtf.frequency_lpmm, found.regions, found.mtf.modulation, strict=True
-        ):
+        unit, mtf = images.frequency_unit(seen, None), found.mtf
+        shown = zip(mtf.frequency_lpmm * unit.factor, mtf.modulation, found.regions, strict=True)
+        for frequency, value, (top, bottom, left, right) in shown:
             current.say(
-                f"bars of {line * unit.factor:.4g} {unit.name} in rows {box[0]}:{box[1]}, columns "
-                f"{box[2]}:{box[3]}: contrast {value:.3f}"
+                f"bars of {frequency:.4g} {unit.name} in rows {top}:{bottom}, columns "
+                f"{left}:{right}: contrast {value:.3f}"
             )
         current.result["regions"] = found.regions
     elif asked.cycles is not None:
@@ -264,6 +248,16 @@ def _group(text: str, seen: images.Measured) -> tuple[float, images.Region | Non
         raise typer.BadParameter(f"expected {expected}, got {text!r}")
     frequency = 1.0 / (number * max(seen.pitch_mm)) if period else number
     return frequency, images.parse_region(region or None)
+
+
+def _told(asked: _StarOptions | _ZoneOptions, measured: images.Measured) -> dict[str, Any]:
+    """Return what stars and zone plates are measured with alike."""
+    center = _pair(asked.center_px, "a centre like 7.5,31.5")
+    return picked(measured, "pitch_mm valid") | {"center_px": center, "levels": _levels(asked)}
+
+
+def _levels(asked: _StarOptions | _ZoneOptions | _ResolutionOptions) -> Pair | None:
+    return _pair(asked.levels, "levels like 100,3000")
 
 
 def _say_place(
@@ -301,7 +295,7 @@ def _one_image(asked: images.ImageOptions, photo: images.PhotoOptions) -> images
     return measured
 
 
-def _pair(text: str | None, expected: str) -> tuple[float, float] | None:
+def _pair(text: str | None, expected: str) -> Pair | None:
     if text is None:
         return None
     first, second = parse_numbers(text, 2, expected)
@@ -311,16 +305,17 @@ def _pair(text: str | None, expected: str) -> tuple[float, float] | None:
 def _say_curve(current: Session, curve: Any, unit: images.Unit, name: str) -> None:
     from lensshift.evaluation.limits import first_crossing_lpmm
 
-    crossings = {level: first_crossing_lpmm(curve, level) * unit.factor for level in _LEVELS}
-    texts = [
-        f"MTF{100 * level:.0f} {place:.4g}" if place == place else f"MTF{100 * level:.0f} not seen"
-        for level, place in crossings.items()
-    ]
+    places = {
+        f"mtf{100 * level:.0f}": first_crossing_lpmm(curve, level) * unit.factor
+        for level in _LEVELS
+    }
+    texts = (
+        f"{label.upper()} {f'{place:.4g}' if place == place else 'not seen'}"
+        for label, place in places.items()
+    )
     current.say(f"  {name:<20}{', '.join(texts)} {unit.name}")
-    rows: list[dict[str, Any]] = current.result.setdefault("curves", [])
-    row: dict[str, Any] = {"name": name, "unit": unit.name}
-    row |= {f"mtf{100 * level:.0f}": place for level, place in crossings.items()}
-    rows.append(row | _columns(curve, unit))
+    row = {"name": name, "unit": unit.name} | places | _columns(curve, unit)
+    current.result.setdefault("curves", []).append(row)
 
 
 def _columns(curve: Any, unit: images.Unit) -> dict[str, Any]:
