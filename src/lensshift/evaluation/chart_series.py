@@ -149,12 +149,9 @@ def focus_series(edges: Sequence[ChartEdge]) -> tuple[list[dict[str, Any]], dict
     fits = {}
     for zone in dict.fromkeys(str(row["zone"]) for row in rows):
         here = [row for row in rows if row["zone"] == zone]
+        told = [(row["focus"], row["mtf50_lpmm"], errors[zone, row["focus"]]) for row in here]
         try:
-            fits[zone] = best_focus(
-                [row["focus"] for row in here],
-                [row["mtf50_lpmm"] for row in here],
-                [errors[zone, row["focus"]] for row in here],
-            )
+            fits[zone] = best_focus(*np.transpose(told))
         except ValueError as error:
             warn_quality(f"no best focus {zone}: {error}")
     return rows, fits

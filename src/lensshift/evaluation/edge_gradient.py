@@ -236,11 +236,8 @@ def steps_of(line: Floats) -> list[int]:
     heights = [abs(line[group[-1] + 1] - line[group[0]]) for group in groups if group.size]
     noise = OF_NORMAL / np.sqrt(2.0) * float(np.median(np.abs(jump)))  # of a difference
     least = max(_LEAST_SHARE * max(heights, default=0.0), _LEAST_SIGMAS * noise)
-    return [
-        int(np.median(group))
-        for group, height in zip(groups, heights, strict=False)
-        if height > least
-    ]
+    both = zip(groups, heights, strict=False)
+    return [int(np.median(group)) for group, height in both if height > least]
 
 
 def refuse_two_edges(lines: Floats) -> None:

@@ -56,10 +56,11 @@ def resolution_gain(fine: EdgeResult, coarse: EdgeResult) -> ResolutionGain:
     """
     turn_rad = abs(fine.angle_rad.value - coarse.angle_rad.value)
     if fine.orientation != coarse.orientation or turn_rad > _MAX_TURN_RAD:
-        warn_quality(
-            f"expected two measurements of one edge, got {_direction(fine)} and "
-            f"{_direction(coarse)}"
+        told = " and ".join(
+            f"{edge.orientation} at {np.rad2deg(edge.angle_rad.value):.1f} degrees"
+            for edge in (fine, coarse)
         )
+        warn_quality(f"expected two measurements of one edge, got {told}")
     return ResolutionGain(
         mtf50=ratio_of(fine.mtf50_lpmm, coarse.mtf50_lpmm),
         mtf10=ratio_of(fine.mtf10_lpmm, coarse.mtf10_lpmm),
@@ -93,13 +94,10 @@ def average_gain(gains: Sequence[ResolutionGain]) -> ResolutionGain:
     """
     if not gains:
         raise ValueError("expected at least one gain, got none")
-    return ResolutionGain(
-        mtf50=_geometric_mean([gain.mtf50 for gain in gains]),
-        mtf10=_geometric_mean([gain.mtf10 for gain in gains]),
-        width=_geometric_mean([gain.width for gain in gains]),
-        noise=float(np.exp(np.mean([np.log(gain.noise) for gain in gains]))),
-        edges=len(gains),
-    )
+    ratios = zip(*((gain.mtf50, gain.mtf10, gain.width) for gain in gains), strict=True)
+    mtf50, mtf10, width = map(_geometric_mean, ratios)
+    noise = float(np.exp(np.mean([np.log(gain.noise) for gain in gains])))
+    return ResolutionGain(mtf50, mtf10, width, noise, len(gains))
 
 
 def pair_edges(
@@ -118,8 +116,7 @@ def pair_edges(
         middle_px, length_px = np.array(there.middle_px), there.extent_px[0]
         apart = [
             float(np.hypot(*((np.array(here.middle_px) + 0.5) / scale - 0.5 - middle_px)))
-            if here.orientation == there.orientation
-            else np.inf
+            + (0.0 if here.orientation == there.orientation else np.inf)
             for here in left
         ]
         if apart and min(apart) <= _MAX_APART * length_px:
@@ -135,7 +132,3 @@ def _geometric_mean(ratios: Sequence[Interval]) -> Interval:
         logs = [Interval(*np.log([one.value, one.low, one.high]).tolist()) for one in reached]
     mean = average_interval(logs)
     return Interval(*np.exp([mean.value, mean.low, mean.high]).tolist())
-
-
-def _direction(edge: EdgeResult) -> str:
-    return f"{edge.orientation} at {np.rad2deg(edge.angle_rad.value):.1f} degrees"

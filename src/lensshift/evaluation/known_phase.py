@@ -16,6 +16,9 @@ from lensshift.core.errors import warn_quality
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.limits import pitch_pair_mm
 
+Pair = tuple[float, float]
+Pitch = float | Pair  # one or (row, col)
+
 _MAX_CONDITION = 10.0  # of the columns of one fit, each of norm 1; full rings have about 1.5
 _MAX_CENTER_STEPS = 30
 _CENTER_TOLERANCE_PX = 1e-4
@@ -35,9 +38,9 @@ class Pixels:
     row_px: NDArray[np.intp]
     col_px: NDArray[np.intp]
     shape: tuple[int, int]
-    pitch_mm: tuple[float, float]
+    pitch_mm: Pair
 
-    def place_mm(self, center_px: tuple[float, float]) -> tuple[Floats, Floats]:
+    def place_mm(self, center_px: Pair) -> tuple[Floats, Floats]:
         """Return row and col [n] of the pixels, counted from a centre."""
         row_mm = (self.row_px - center_px[0]) * self.pitch_mm[0]
         col_mm = (self.col_px - center_px[1]) * self.pitch_mm[1]
@@ -49,7 +52,7 @@ class Pixels:
         rows = (self.row_px >= top) & (self.row_px < bottom)
         return np.asarray(rows & (self.col_px >= left) & (self.col_px < right))
 
-    def reach_mm(self, center_px: tuple[float, float]) -> tuple[float, float]:
+    def reach_mm(self, center_px: Pair) -> Pair:
         """Return how far the image reaches on both sides of a centre, along (row, col)."""
         row_px, col_px = (min(c, n - 1 - c) for c, n in zip(center_px, self.shape, strict=True))
         if not min(row_px, col_px) >= 0:
@@ -91,9 +94,7 @@ def printed_orders(profile: str, pixels_per_cycle: float) -> range:
 Pattern = Callable[[Floats, Floats], Waves]
 
 
-def list_pixels(
-    image: ArrayLike, pitch_mm: float | tuple[float, float], valid: ArrayLike | None
-) -> Pixels:
+def list_pixels(image: ArrayLike, pitch_mm: Pitch, valid: ArrayLike | None) -> Pixels:
     """Return the valid pixels of a real image [row col]; `ValueError` if it is not one."""
     values = np.asarray(image)
     if values.dtype.kind not in "buif" or values.ndim != 2:
@@ -158,9 +159,9 @@ def fit_harmonic(
 def contrast_at_zero(
     frequency_lpmm: Floats,
     fits: Sequence[HarmonicFit],
-    levels: tuple[float, float] | None,
+    levels: Pair | None,
     profile: str = "sine",
-) -> tuple[float, float]:
+) -> Pair:
     """Return the modulation at frequency 0 and its standard deviation.
 
     From the levels (low, high): (high - low) / (high + low), taken as exact; times 4 / pi for a
@@ -242,7 +243,7 @@ def warn_if_out_of_step(fits: Sequence[HarmonicFit], wrong: str) -> None:
 
 
 def mtf_curve(
-    frequency_lpmm: Floats, fits: Sequence[HarmonicFit], contrast: tuple[float, float], label: str
+    frequency_lpmm: Floats, fits: Sequence[HarmonicFit], contrast: Pair, label: str
 ) -> MtfCurve:
     """Divide modulations by the contrast (value, std); both scatter into the standard deviation."""
     modulation = np.array([fit.modulation for fit in fits]) / contrast[0]
@@ -250,7 +251,7 @@ def mtf_curve(
     return MtfCurve(frequency_lpmm, modulation, std, label)
 
 
-def symmetry_center_px(pixels: Pixels, parity: int) -> tuple[float, float]:
+def symmetry_center_px(pixels: Pixels, parity: int) -> Pair:
     """Return the point, to half a pixel, that half a turn about maps an image best on itself.
 
     The convolution of the image with itself peaks at twice the centre; parity -1 looks for the
@@ -265,9 +266,7 @@ def symmetry_center_px(pixels: Pixels, parity: int) -> tuple[float, float]:
     return float(row) / 2, float(col) / 2
 
 
-def refine_center_px(
-    pixels: Pixels, start_px: tuple[float, float], pattern: Pattern
-) -> tuple[float, float]:
+def refine_center_px(pixels: Pixels, start_px: Pair, pattern: Pattern) -> Pair:
     """Return the centre for which the pattern, its rings free, leaves least; warn if in doubt."""
     center_px = start_px
     for _ in range(_MAX_CENTER_STEPS):

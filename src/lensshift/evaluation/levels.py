@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Array, Floats
 
 CHANNELS = ("luminance", "red", "green", "blue")
 # Shares of red, green and blue in the luminance that ISO 12233 measures (ITU-R BT.709).
@@ -60,7 +58,7 @@ def linear_light(
     return np.asarray(np.interp(light, table[:, 0], table[:, 1]))
 
 
-def one_channel(image: ArrayLike, channel: str | None = None) -> NDArray[Any]:
+def one_channel(image: ArrayLike, channel: str | None = None) -> Array:
     """Return a channel [row col] of linear light [row col 3], or a grey image itself.
 
     Luminance, the default, is 0.2125 R + 0.7154 G + 0.0721 B. ValueError for other images.
@@ -79,9 +77,7 @@ def one_channel(image: ArrayLike, channel: str | None = None) -> NDArray[Any]:
     return np.ascontiguousarray(values[..., ("red", "green", "blue").index(channel)])
 
 
-def bayer_frames(
-    mosaic: ArrayLike, pattern: str, channel: str = "green"
-) -> tuple[NDArray[Any], Floats]:
+def bayer_frames(mosaic: ArrayLike, pattern: str, channel: str = "green") -> tuple[Array, Floats]:
     """Return the pixels of one colour of a mosaic as frames [frame row col], and their offsets.
 
     Red and blue are one frame, green is two, each of half the rows and columns: nothing is

@@ -12,6 +12,8 @@ from lensshift.core.errors import warn_quality
 from lensshift.evaluation.inputs import check_finite, real_array
 from lensshift.evaluation.limits import first_fall, pitch_pair_mm
 
+Pitch = float | tuple[float, float]  # one or (row, col)
+
 FIXED_THRESHOLD = 1 / 7
 _MIN_SIDE_PX = 8
 # With fewer samples the correlation of pure noise scatters by more than the fixed threshold.
@@ -62,7 +64,7 @@ def fourier_ring_correlation(
     first: ArrayLike,
     second: ArrayLike,
     *,
-    pitch_mm: float | tuple[float, float],
+    pitch_mm: Pitch,
     window: bool = True,
 ) -> RingCorrelation:
     """Correlate two images of one scene with independent noise.
@@ -158,9 +160,7 @@ def _spectrum(image: Floats, weight: Floats) -> NDArray[np.complex128]:
     return np.fft.fft2(centred * weight)
 
 
-def _rings(
-    shape: tuple[int, ...], pitch_mm: float | tuple[float, float]
-) -> tuple[Floats, NDArray[np.int64]]:
+def _rings(shape: tuple[int, ...], pitch_mm: Pitch) -> tuple[Floats, NDArray[np.int64]]:
     """Return frequency and ring (from 1; 0 for none) of each Fourier sample [row col]."""
     pitches = np.array(pitch_pair_mm(pitch_mm))
     row_lpmm, col_lpmm = (np.fft.fftfreq(n, p) for n, p in zip(shape, pitches, strict=True))

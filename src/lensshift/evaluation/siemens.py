@@ -14,9 +14,7 @@ from lensshift.core.arrays import Floats
 from lensshift.core.errors import warn_quality
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation import known_phase
-from lensshift.evaluation.known_phase import HarmonicFit, Pixels, Waves
-
-Pair = tuple[float, float]
+from lensshift.evaluation.known_phase import HarmonicFit, Pair, Pixels, Waves
 
 _FEWEST_CYCLES = 5  # below, the wave is one of the terms of uneven light or next to it
 # Harmonics beyond the Nyquist frequency alias, in each direction elsewhere: they are told apart as
@@ -48,7 +46,7 @@ class SiemensResult:
     """
 
     mtf: MtfCurve
-    center_px: tuple[float, float]
+    center_px: Pair
     contrast: float
     contrast_std: float
     radius_mm: Floats
@@ -63,11 +61,11 @@ def siemens_star_mtf(
     image: ArrayLike,
     *,
     cycles: int,
-    pitch_mm: float | tuple[float, float],
-    center_px: tuple[float, float] | None = None,
-    radius_range_mm: tuple[float, float] | None = None,
+    pitch_mm: float | Pair,
+    center_px: Pair | None = None,
+    radius_range_mm: Pair | None = None,
     profile: Literal["sine", "square"] = "sine",
-    levels: tuple[float, float] | None = None,
+    levels: Pair | None = None,
     sectors: int = 0,
     valid: ArrayLike | None = None,
 ) -> SiemensResult:

@@ -202,9 +202,7 @@ def _off_fitted_m(
     size = 2 * reach + 1
     nearest_m = minimum_filter(np.where(known, measured_m, np.inf), size, mode="nearest")
     farthest_m = maximum_filter(np.where(known, measured_m, -np.inf), size, mode="nearest")
-    smallest_m = np.broadcast_to(
-        np.asarray(depth.smallest_step_m(nearest_m, noise_m, min_step_m)), known.shape
-    )
+    smallest_m = depth.smallest_step_m(nearest_m, noise_m, min_step_m) + np.zeros(known.shape)
     for row, col in np.argwhere(known & (farthest_m - nearest_m > smallest_m)):
         top, left = max(0, row - reach), max(0, col - reach)
         window_m = measured_m[top : row + reach + 1, left : col + reach + 1]

@@ -12,7 +12,7 @@ from lensshift.core.arrays import Floats
 from lensshift.core.errors import warn_quality
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation import known_phase
-from lensshift.evaluation.known_phase import HarmonicFit, Pixels, Waves
+from lensshift.evaluation.known_phase import HarmonicFit, Pair, Pixels, Waves
 from lensshift.evaluation.limits import pitch_pair_mm
 
 _WEDGE_RAD = np.pi / 12  # half the angle about an axis whose pixels show that axis
@@ -40,7 +40,7 @@ class ZonePlateResult:
     row: MtfCurve
     col: MtfCurve
     folded: tuple[MtfCurve, MtfCurve] | None
-    center_px: tuple[float, float]
+    center_px: Pair
     contrast: float
     contrast_std: float
 
@@ -48,11 +48,11 @@ class ZonePlateResult:
 def zone_plate_response(
     image: ArrayLike,
     *,
-    pitch_mm: float | tuple[float, float],
+    pitch_mm: float | Pair,
     chirp_lpmm_per_mm: float,
-    center_px: tuple[float, float] | None = None,
-    lr_pitch_mm: float | tuple[float, float] | None = None,
-    levels: tuple[float, float] | None = None,
+    center_px: Pair | None = None,
+    lr_pitch_mm: float | Pair | None = None,
+    levels: Pair | None = None,
     valid: ArrayLike | None = None,
 ) -> ZonePlateResult:
     """Measure the response to a zone plate by local frequency.
@@ -126,7 +126,7 @@ class _Plate:
     pixels: Pixels
     chirp_lpmm_per_mm: float
 
-    def found_center_px(self) -> tuple[float, float]:
+    def found_center_px(self) -> Pair:
         start_px = known_phase.symmetry_center_px(self.pixels, parity=1)
         waves = partial(self.waves, min(self.pixels.reach_mm(start_px)))
         return known_phase.refine_center_px(self.pixels, start_px, waves)

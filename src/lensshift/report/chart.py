@@ -240,15 +240,11 @@ def _draw_heights(axes: Axes, here: list[ChartEdge], direction: Direction, facto
 
 def _zone_table(edges: Sequence[ChartEdge], unit: str, factor: float) -> list[dict[str, Any]]:
     return [
-        {
-            "zone": row["zone"],
-            "lines": row["direction"],
-            "edges": row["edges"],
-            f"MTF50 ({unit})": str(row["mtf50_lpmm"].scaled(factor)),
-            "worst": float(row["worst_mtf50_lpmm"] * factor),
-        }
+        {"zone": row["zone"], "lines": row["direction"], "edges": row["edges"],
+         f"MTF50 ({unit})": str(row["mtf50_lpmm"].scaled(factor)),
+         "worst": float(row["worst_mtf50_lpmm"] * factor)}
         for row in zone_rows(edges)
-    ]
+    ]  # fmt: skip
 
 
 def _focus_table(fits: dict[str, FocusFit], unit: str) -> list[dict[str, Any]]:
@@ -263,17 +259,10 @@ def _focus_table(fits: dict[str, FocusFit], unit: str) -> list[dict[str, Any]]:
 
 def _short(row: dict[str, Any]) -> dict[str, Any]:
     """Return what of a row fits on a page; files have all of it."""
-    shown = {
-        "photograph": row["image"],
-        "row": f"{row['row_px']:.0f}",
-        "col": f"{row['col_px']:.0f}",
-        "lines": row["direction"],
-        "angle": f"{row['angle_deg']:.1f}",
-        "MTF50": (float(row["mtf50_low"]), float(row["mtf50_high"])),
-    }
-    shown |= {
-        name.replace("_", " "): float(value)
-        for name, value in row.items()
-        if name.startswith("mtf_at_") and not name.endswith(("_low", "_high"))
-    }
+    shown = {"photograph": row["image"], "row": f"{row['row_px']:.0f}"}
+    shown |= {"col": f"{row['col_px']:.0f}", "lines": row["direction"]}
+    shown |= {"angle": f"{row['angle_deg']:.1f}"}
+    shown["MTF50"] = float(row["mtf50_low"]), float(row["mtf50_high"])
+    at = [one for one in row if one.startswith("mtf_at_") and not one.endswith(("_low", "_high"))]
+    shown |= {name.replace("_", " "): float(row[name]) for name in at}
     return shown | {"notes": row["notes"] if row["usable"] else f"not used: {row['notes']}"}

@@ -188,9 +188,8 @@ def _draw_crowd(axes: Axes, results: Sequence[EdgeResult], factor: float) -> Non
 
 
 def _draw_result(axes: Axes, result: EdgeResult, colour: str, label: str, factor: float) -> None:
-    curves.draw_curve(
-        axes, result.mtf, colour, label, factor=factor, low=result.low, high=result.high
-    )
+    band = {"low": result.low, "high": result.high}
+    curves.draw_curve(axes, result.mtf, colour, label, factor=factor, **band)
     curves.mark_crossing(axes, result.mtf50_lpmm.scaled(factor), 0.5, colour)
 
 

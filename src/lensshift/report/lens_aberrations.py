@@ -205,9 +205,8 @@ def psf_figure(
         axes.grid(visible=False)
         axes.set(title=field_name(field), xlabel="column (um)")
         inside = 100.0 * psf.ensquared(side_mm)
-        axes_below.plot(
-            1e3 * side_mm, inside, color=style.colour_of(number), label=field_name(field)
-        )
+        how = {"color": style.colour_of(number), "label": field_name(field)}
+        axes_below.plot(1e3 * side_mm, inside, **how)
     panels[0].set_ylabel("row (um)")
     above.colorbar(
         shown, ax=list(panels), label="irradiance over its peak", shrink=0.8,

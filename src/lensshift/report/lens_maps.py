@@ -91,9 +91,8 @@ def focus_figure(lens: Lens, fields_tan: Sequence[Pair], frequency_lpmm: float) 
     figure = style.new_figure(style.WIDTH_IN, 4.2)
     axes = figure.subplots()
     for number, field in enumerate(fields_tan):
-        for values, dashes, along in zip(
-            found[:, number].T, ("-", "--"), ("columns", "rows"), strict=True
-        ):
+        both = zip(found[:, number].T, ("-", "--"), ("columns", "rows"), strict=True)
+        for values, dashes, along in both:
             label = f"{field_name(field)} along {along}"
             axes.plot(away_mm, values, dashes, color=style.colour_of(number), label=label)
     axes.axvline(0.0, color=style.GREY, linewidth=0.9, zorder=1.0)
@@ -207,9 +206,8 @@ def spots_figure(
     ring = f"Airy ring, {airy_um:.2g} um, at {lens.wavelength_nm:g} nm"
     figure = style.new_figure(max(5.0, 0.8 + 2.4 * len(fields_tan)), 5.8)
     panels = figure.subplots(2, len(fields_tan), squeeze=False, gridspec_kw={"hspace": 0.1})
-    for (wide, close), field, both, (rest, moved) in zip(
-        panels.T, fields_tan, rays_um, found, strict=True
-    ):
+    shown = zip(panels.T, fields_tan, rays_um, found, strict=True)
+    for (wide, close), field, both, (rest, moved) in shown:
         for axes in (wide, close):
             _draw_spots(axes, both, airy_um, pixel_um, ring)
             axes.set(xlabel="column (um)", ylabel="row (um)")

@@ -129,11 +129,9 @@ def _picture(value: Shown) -> str:
     if isinstance(value, Estimate):
         value = _quick(value)
     elif isinstance(value, Reconstruction):
-        value = replace(
-            value,
-            amplitude=value.amplitude and _quick(value.amplitude),
-            distance_m=value.distance_m and _quick(value.distance_m),
-        )
+        both = (value.amplitude, value.distance_m)
+        amplitude, distance_m = (one and _quick(one) for one in both)
+        value = replace(value, amplitude=amplitude, distance_m=distance_m)
     try:
         figure = value.plot()
     except (ImportError, ValueError):  # no matplotlib, or nothing to draw: the table alone
@@ -160,9 +158,8 @@ def _burst_figure(burst: Burst) -> Figure:
         figure = new_figure(_WIDE_IN, _HIGH_IN)
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(2.0, 1.0))[0]
         shape = (len(images), 1) if wide else (1, len(images))
-        for axes, (label, image) in zip(
-            left.subplots(*shape, squeeze=False).flat, images.items(), strict=True
-        ):
+        panels = left.subplots(*shape, squeeze=False).flat
+        for axes, (label, image) in zip(panels, images.items(), strict=True):
             colours = "gray" if label == "amplitude" else "viridis"
             known = np.where(burst.valid[0], image, np.nan)
             title = f"frame 0 of {burst.frame_count}: {label}"

@@ -93,9 +93,8 @@ def shown_range(image: NDArray[Any]) -> tuple[float, float]:
 
 def channel_range(shown: Shots, channel: str) -> tuple[float, float]:
     """Return the scale of a channel, which the last image that has it sets."""
-    return shown_range(
-        np.abs([images[channel] for images in shown.values() if channel in images][-1])
-    )
+    known = [images[channel] for images in shown.values() if channel in images]
+    return shown_range(np.abs(known[-1]))
 
 
 def _coloured(image: NDArray[Any], low: float, high: float, channel: str) -> NDArray[np.uint8]:

@@ -97,9 +97,8 @@ def estimate_figure(estimate: Estimate, *, wide_in: float = 11.0) -> Figure:
     across = len(panels) if 2 * rows > cols else 1
     high_in = _panel_in(wide_in / across, rows / cols)
     figure = new_figure(wide_in, high_in * len(panels) / across + 0.2)
-    for axes, panel in zip(
-        figure.subplots(len(panels) // across, across, squeeze=False).flat, panels, strict=True
-    ):
+    places = figure.subplots(len(panels) // across, across, squeeze=False).flat
+    for axes, panel in zip(places, panels, strict=True):
         axes.set_axis_off()
         _draw(axes, panel)
     return figure

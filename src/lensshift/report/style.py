@@ -98,12 +98,8 @@ def note(
     ----------
     how : what `Axes.annotate` takes besides
     """
-    usual: dict[str, Any] = {
-        "textcoords": "offset points",
-        "fontsize": SMALL_PT,
-        "path_effects": outlined(1.0),
-    }
-    axes.annotate(text, at, xytext=away_pt, **(usual | how))
+    usual: dict[str, Any] = {"fontsize": SMALL_PT, "path_effects": outlined(1.0)}
+    axes.annotate(text, at, xytext=away_pt, textcoords="offset points", **(usual | how))
 
 
 def round_number(value: float) -> float:

@@ -12,6 +12,8 @@ from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.noise_model import NOISELESS
 from lensshift.evaluation.slanted_edge.result import EdgeResult
 
+Numbers = NDArray[np.intp]
+
 _LEAST_CONTRAST = 0.2
 _SMALLEST_ANGLE_DEG, _LARGEST_ANGLE_DEG = 2.0, 43.0
 _LARGEST_GAP_PX = 0.25  # between the phases at which the lines cross the pixels
@@ -159,15 +161,13 @@ def _clipping(values: Vector, result: EdgeResult) -> list[str]:
     return found
 
 
-def largest_phase_gap_px(lines: NDArray[np.float64], angle_rad: float) -> float:
+def largest_phase_gap_px(lines: Vector, angle_rad: float) -> float:
     """Return the largest gap between the phases of pixels at which lines [n] cross the edge."""
     phases = np.sort(np.unique(np.round(np.mod(lines * np.tan(angle_rad), 1.0), 9)))
     return float(np.max(np.diff(np.append(phases, phases[0] + 1.0))))
 
 
-def displacement_px(
-    residual: Vector, slope: Vector, group: NDArray[np.intp], noise: float
-) -> float:
+def displacement_px(residual: Vector, slope: Vector, group: Numbers, noise: float) -> float:
     """Return by how much the edge moves between groups [n] of pixels, rms over the groups.
 
         r_i = -m_g E'(d_i) + noise,   g the group of pixel i

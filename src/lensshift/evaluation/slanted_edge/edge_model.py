@@ -19,6 +19,7 @@ _SQRT2 = math.sqrt(2.0)
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+Numbers = NDArray[np.intp]
 
 _SMALLEST_SIDE = 0.01  # of the aperture: below it, a trapezium counts as a box
 _SMALLEST_HALF_PX = 0.02  # of a side, to a tail: below it, differences lose their digits
@@ -124,7 +125,7 @@ class SplineBasis:
 
     step_px: float  # distance between the narrow splines
     # [h+1] centres of the splines on one side, in steps from the middle, 0 first
-    number: NDArray[np.intp]
+    number: Numbers
     narrow_px: Vector  # [i] centres of the narrow ones
     parts: Matrix  # [i 2h+1] of which narrow ones an even or odd function is made
 
@@ -188,9 +189,7 @@ class SplineBasis:
 
 
 @lru_cache(maxsize=64)
-def _spread(
-    last: int, limits: tuple[int, int]
-) -> tuple[NDArray[np.intp], NDArray[np.intp], Matrix]:
+def _spread(last: int, limits: tuple[int, int]) -> tuple[Numbers, Numbers, Matrix]:
     """Return centres of splines and of narrow ones, in steps, and what makes up which [i j].
 
     Centres lie at every step up to the first limit, at every second up to the next, then at

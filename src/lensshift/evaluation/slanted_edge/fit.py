@@ -28,6 +28,9 @@ _SETTLED_PX = 3e-3  # a move whose square changes no pixel
 _SPARE_PX = 4.0  # by which the edge may move until pixels leave the nodes
 
 
+_Draws = tuple[Matrix, Matrix, Matrix]  # parameters, levels and coefficients [... k]
+
+
 @dataclass(frozen=True, slots=True)
 class EdgeFit:
     """One edge: column 0 of every table is the optimum, the others are draws."""
@@ -85,21 +88,17 @@ def fit_edge(edge: UprightEdge, frequency_cpp: Vector, asked: LikelySettings) ->
     spread = float(np.log(_LIGHT_SPREAD))
     _, likelihood, best = min(placed, key=lambda one: one[0] + spread * one[1].level_count)
     drawn = posterior.drawn_around(likelihood, best, seed)
-    parameters, levels, coefficients = _whole_draws(likelihood, drawn, seed)
-    gathered = likelihood.gathered
-    curves = _Curves(likelihood, frequency_cpp, np.quantile(edge.normal_px, (_SEEN, 1.0 - _SEEN)))
+    draws = parameters, levels, coefficients = _whole_draws(likelihood, drawn, seed)
+    ends_px = np.quantile(edge.normal_px, (_SEEN, 1.0 - _SEEN))
     # The optimum follows the tail's law beyond the region, half of the draws only in part.
     shares = np.random.default_rng(seed + 1).uniform(-1.0, 1.0, parameters.shape[1] - 1)
     missing = np.append(0.0, np.maximum(shares, 0.0))
-    told = (
-        _moved(likelihood, parameters, levels),
-        *curves.of(parameters, levels[gathered.response], coefficients, missing),
-    )
-    geometry, transform, esf, lsf = (_widened(one, drawn.widening) for one in told)
-    factors = levels[:, 0], coefficients[:, 0]
-    height = levels[gathered.response, 0] + likelihood.basis.area_px @ coefficients[:, 0]
-    left = edge.scaled - likelihood.model_of(drawn.best, *factors)
-    dark, normal_px = float(levels[0, 0]), curves.normal_px
+    normal_px, *told = _curves(likelihood, frequency_cpp, ends_px, draws, missing)
+    told.append(_moved(likelihood, parameters, levels))
+    transform, esf, lsf, geometry = (_widened(one, drawn.widening) for one in told)
+    factors, response = (levels[:, 0], coefficients[:, 0]), likelihood.gathered.response
+    height = factors[0][response] + likelihood.basis.area_px @ factors[1]
+    left, dark = edge.scaled - likelihood.model_of(drawn.best, *factors), float(factors[0][0])
     return EdgeFit(edge, noise, geometry, dark, float(height), transform, normal_px, esf, lsf, left)
 
 
@@ -178,9 +177,7 @@ def _slope(
     return np.asarray(levels[response] * base + nodes.values @ coefficients)
 
 
-def _whole_draws(
-    likelihood: EdgeLikelihood, drawn: posterior.Posterior, seed: int
-) -> tuple[Matrix, Matrix, Matrix]:
+def _whole_draws(likelihood: EdgeLikelihood, drawn: posterior.Posterior, seed: int) -> _Draws:
     """Return parameters, levels and coefficients: column 0 the optimum, the others draws."""
     rng = np.random.default_rng(seed)
     # Systematic resampling: as many draws from each proposal as its weight says.
@@ -212,41 +209,34 @@ def _beyond(frequency_cpp: Vector, end_px: float) -> Vector:
     return np.asarray(np.cos(turn) + turn * (sici(turn)[0] - 0.5 * np.pi))
 
 
-class _Curves:
-    """Turns draws of the edge into OTF, ESF and LSF."""
-
-    def __init__(self, likelihood: EdgeLikelihood, frequency_cpp: Vector, ends_px: Vector) -> None:
-        self._base, self._frequency_cpp = likelihood.base, frequency_cpp
-        self._ends_px = ends_px
-        self._beyond = np.stack([_beyond(frequency_cpp, abs(end)) for end in ends_px.tolist()])
-        basis = likelihood.basis
-        reach = round(_ESF_HALF_WIDTH / _ESF_STEP)
-        half = np.arange(-2 * reach - 1.0, 2 * reach + 2.0) * 0.5 * _ESF_STEP * likelihood.unit_px
-        self._half_steps_px: Vector = np.asarray(half)
-        self.normal_px = self._half_steps_px[1::2]
-        self._even, self._odd = basis.transforms(frequency_cpp)
-        self._integrals = basis.integrals(self.normal_px)
-        self._values = basis.values(self.normal_px)
-
-    def of(
-        self, parameters: Matrix, factor: Vector, coefficients: Matrix, missing: Vector
-    ) -> tuple[NDArray[np.complex128], Matrix, Matrix]:
-        """Return OTF [f k], ESF and LSF [d k]; a share `missing` [k] of light beyond is none."""
-        other = np.any(parameters[:, 1:] != parameters[:, :-1], axis=0)
-        number = np.concatenate([[0], np.cumsum(other)])  # of the parameters in each draw
-        unlike = parameters[:, np.concatenate([[True], other])]
-        places_px = np.concatenate([self._half_steps_px, self._ends_px])
-        response = np.column_stack([self._base.response(places_px, one) for one in unlike.T])
-        response, ends = response[:-2, number], response[-2:, number]
-        base = self._base.transforms(self._frequency_cpp, unlike)[:, number]
-        far = missing * np.stack([ends[0], 1.0 - ends[1]])
-        base = base - self._beyond.T @ far
-        evens = self._even.shape[1]
-        transform = factor * base + self._even @ coefficients[:evens]
-        transform += 1j * (self._odd @ coefficients[evens:])
-        contrast = transform[0].real
-        steps_px = self._half_steps_px[2::2] - self._half_steps_px[:-2:2]
-        rise = (response[2::2] - response[:-2:2]) / steps_px[:, None]
-        esf = (factor * response[1::2] + self._integrals @ coefficients) / contrast
-        lsf = (factor * rise + self._values @ coefficients) / contrast
-        return transform / contrast, esf, lsf
+def _curves(
+    likelihood: EdgeLikelihood,
+    frequency_cpp: Vector,
+    ends_px: Vector,
+    draws: _Draws,
+    missing: Vector,
+) -> tuple[Vector, NDArray[np.complex128], Matrix, Matrix]:
+    """Return places [d], OTF [f k], ESF and LSF [d k]; `missing` [k] of far light is none."""
+    parameters, levels, coefficients = draws
+    base, basis, factor = likelihood.base, likelihood.basis, levels[likelihood.gathered.response]
+    reach = round(_ESF_HALF_WIDTH / _ESF_STEP)
+    half_steps = np.arange(-2 * reach - 1.0, 2 * reach + 2.0)
+    half_steps_px: Vector = np.asarray(half_steps * 0.5 * _ESF_STEP * likelihood.unit_px)
+    normal_px = half_steps_px[1::2]
+    other = np.any(parameters[:, 1:] != parameters[:, :-1], axis=0)
+    number = np.concatenate([[0], np.cumsum(other)])  # of the parameters in each draw
+    unlike = parameters[:, np.concatenate([[True], other])]
+    places_px = np.concatenate([half_steps_px, ends_px])
+    response = np.column_stack([base.response(places_px, one) for one in unlike.T])
+    response, ends = response[:-2, number], response[-2:, number]
+    far = missing * np.stack([ends[0], 1.0 - ends[1]])
+    beyond = np.stack([_beyond(frequency_cpp, abs(end)) for end in ends_px.tolist()])
+    even, odd = basis.transforms(frequency_cpp)
+    transform = factor * (base.transforms(frequency_cpp, unlike)[:, number] - beyond.T @ far)
+    transform += even @ coefficients[: even.shape[1]] + 1j * (odd @ coefficients[even.shape[1] :])
+    contrast = transform[0].real
+    steps_px = half_steps_px[2::2] - half_steps_px[:-2:2]
+    rise = (response[2::2] - response[:-2:2]) / steps_px[:, None]
+    esf = (factor * response[1::2] + basis.integrals(normal_px) @ coefficients) / contrast
+    lsf = (factor * rise + basis.values(normal_px) @ coefficients) / contrast
+    return normal_px, transform / contrast, esf, lsf

@@ -72,9 +72,8 @@ class Between:
 
     def of(self, values: Vector) -> Vector:
         """Return at the pixels what is `values` [g] at the nodes."""
-        out = np.empty(self.first.size)
-        kernels.interpolated(self.first, self.shares, values, out)
-        return out
+        around = values[self.first[:, None] + np.arange(4)]
+        return np.asarray(np.einsum("ns,ns->n", self.shares, around))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,14 +129,6 @@ def _near(units: float, core: float) -> Nodes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """What a column that follows the response is: P_k(along) times a factor times the response."""
-
-    power: int  # k
-    factor: Vector  # [g] at the nodes
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Gathered:
     """Sums over the pixels, whitened."""
 
@@ -147,11 +138,10 @@ class Gathered:
     # [n f] columns F as the pixels see them: a level, turn and bends of the edge, light
     fixed: Matrix
     powers: Matrix  # [n k] Legendre polynomials along the edge
-    seen: tuple[Seen, ...]  # the columns V, the response itself first
+    # k and factor [g] of the columns V, that is P_k(along) times factor times response; this first
+    seen: list[tuple[int, Vector]]
     count: float  # number of whitened pixels, those rounded alike as one
-    squares: float  # y^T y
-    fixed_values: Vector  # F^T y [f]
-    fixed_fixed: Matrix  # F^T F [f f]
+    products: Matrix  # [F y]^T [F y]
     splines: Matrix  # [j+f+1 j] sums of splines, fixed columns and values with splines
     node_sums: list[Matrix]  # of each power [j+f+1 g]: the same with nodes
     node_node: NDArray[np.float64]  # of each pair of powers [k k g g]
@@ -177,61 +167,49 @@ def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) 
     place = samples.along_px / samples.half_length_px
     highest = max(geometry.size - 1, samples.light)
     powers: Matrix = np.asarray(np.polynomial.legendre.legvander(place, highest))
-    across = nodes.place_px / nodes.place_px[-1]
-    fixed = _fixed(samples, geometry, pixels.of(slope), powers, normal_px / nodes.place_px[-1])
-    seen = _seen(across, samples.light)
-    powers = np.ascontiguousarray(powers[:, : 1 + max(one.power for one in seen)])
+    farthest_px, slope = float(nodes.place_px[-1]), pixels.of(slope)
+    turn_px = samples.along_px * np.cos(geometry[0]) - samples.across_px * np.sin(geometry[0])
+    columns = [np.ones_like(slope), slope * turn_px]
+    columns += [-slope * powers[:, k] for k in range(2, geometry.size)]
+    uneven = _uneven(normal_px / farthest_px, samples.light)
+    fixed = np.column_stack([*columns, *(powers[:, k] * factor for k, factor in uneven)])
+    seen = [
+        (0, np.ones(nodes.place_px.size)),
+        *_uneven(nodes.place_px / farthest_px, samples.light),
+    ]
+    powers = np.ascontiguousarray(powers[:, : 1 + max(k for k, _ in seen)])
     right = np.column_stack([fixed, samples.values])
     whitener = samples.whitener
     if whitener is None:
         whitener = sparse.eye_array(samples.values.size, format="csr")
     else:
         right = np.ascontiguousarray(whitener @ right)
-    kinds, size = powers.shape[1], across.size
+    kinds, size = powers.shape[1], nodes.place_px.size
     products = np.zeros((kinds, kinds, size, size))
     with_right = np.zeros((kinds, size, right.shape[1]))
     # One kind of index: scipy's depends on how the matrix came about, and each is compiled.
     pointers, taps = (np.asarray(one, np.intp) for one in (whitener.indptr, whitener.indices))
     rows = (pointers, taps, whitener.data)
     kernels.node_products(*rows, pixels.first, pixels.shares, powers, right, products, with_right)
-    reach = np.empty((size, 2), dtype=np.intp)
-    kernels.node_reach(products, reach)
-    node_sums, splines = [], np.empty_like(nodes.integrals)
-    for row, own in zip(products, with_right, strict=True):
-        kernels.times_nodes(row[0], reach, nodes.integrals, splines)
-        node_sums.append(np.vstack([splines.T, own.T]))
-    sums = right.T @ right
+    seen_with = (products[0, 0] != 0.0) | np.eye(size, dtype=np.bool_)
+    reach = np.column_stack([seen_with.argmax(1), size - seen_with[:, ::-1].argmax(1)])
+    node_sums = [
+        np.vstack([(row[0] @ nodes.integrals).T, own.T])
+        for row, own in zip(products, with_right, strict=True)
+    ]
     precision, centre = np.zeros(fixed.shape[1]), np.zeros(fixed.shape[1])
     bends = slice(2, geometry.size)
     precision[bends] = (_BENDING_SHARE * samples.half_length_px) ** -2.0
     centre[bends] = -geometry[2:]
     return Gathered(
         geometry, nodes, pixels, fixed, powers, seen, count=samples.unlike * len(right),
-        squares=float(sums[-1, -1]), fixed_values=sums[:-1, -1], fixed_fixed=sums[:-1, :-1],
-        splines=node_sums[0] @ nodes.integrals, node_sums=node_sums, node_node=products,
-        reach=reach, precision=precision, centre=centre,
+        products=right.T @ right, splines=node_sums[0] @ nodes.integrals, node_sums=node_sums,
+        node_node=products, reach=reach, precision=precision, centre=centre,
     )  # fmt: skip
 
 
-def _seen(across: Vector, light: int) -> tuple[Seen, ...]:
-    """Return the columns that follow the response: itself, and as uneven light changes it."""
+def _uneven(across: Vector, light: int) -> list[tuple[int, Vector]]:
+    """Return as what uneven light changes: k and factors at places across, times P_k(along)."""
     ones = np.ones_like(across)
-    seen = [Seen(0, ones)]
-    if light:
-        seen += [Seen(0, across), Seen(1, ones)]
-    if light > 1:
-        seen += [Seen(0, across**2 - 1.0 / 3.0), Seen(2, 2.0 / 3.0 * ones), Seen(1, across)]
-    return tuple(seen)
-
-
-def _fixed(
-    samples: EdgeSamples, geometry: Vector, slope: Vector, powers: Matrix, across: Vector
-) -> Matrix:
-    turn_px = samples.along_px * np.cos(geometry[0]) - samples.across_px * np.sin(geometry[0])
-    columns = [np.ones_like(slope), slope * turn_px]
-    columns += [-slope * powers[:, k] for k in range(2, geometry.size)]
-    if samples.light:
-        columns += [across, powers[:, 1]]
-    if samples.light > 1:
-        columns += [across**2 - 1.0 / 3.0, 2.0 / 3.0 * powers[:, 2], across * powers[:, 1]]
-    return np.column_stack(columns)
+    plane, bowl = [(0, across), (1, ones)], [(0, across**2 - 1.0 / 3.0), (2, 2.0 / 3.0 * ones)]
+    return [[], plane, [*plane, *bowl, (1, across)]][light]

@@ -135,19 +135,14 @@ def _refined(
     scale = max(float(np.std(values)), np.finfo(float).tiny)
     narrow, wide = np.log(_SIGMA_BOUNDS_PX)
     reach_px = 0.3 * float(max(np.ptp(x_px), np.ptp(y_px), 1.0))
+    bounds = (
+        [angle_rad - 0.3, position_px - reach_px, narrow],
+        [angle_rad + 0.3, position_px + reach_px, wide],
+    )
     fit = least_squares(
-        residual,
-        [angle_rad, position_px, np.log(0.6)],
-        jac=jacobian,
-        x_scale=[0.01, 0.05, 0.2],
-        bounds=(
-            [angle_rad - 0.3, position_px - reach_px, narrow],
-            [angle_rad + 0.3, position_px + reach_px, wide],
-        ),
-        ftol=_SETTLED,
-        xtol=_SETTLED,
-        max_nfev=40,
-    ).x
+        residual, [angle_rad, position_px, np.log(0.6)], jac=jacobian, x_scale=[0.01, 0.05, 0.2],
+        bounds=bounds, ftol=_SETTLED, xtol=_SETTLED, max_nfev=40,
+    ).x  # fmt: skip
     angle_rad, position_px, log_sigma = fit.tolist()
     dark, contrast = seen(*fit)[2].tolist()
     return EdgeLine(angle_rad, position_px, float(np.exp(log_sigma)), dark, dark + contrast)

@@ -94,11 +94,10 @@ def _far_slopes(d: float, w: float, half_variance: float, wider: float, out: Arr
     bend = w / (square * square)
     side, more = math.copysign(1.0, d), half_variance / (w * w)
     out[0, 0] = 0.5 + (math.atan(d / w) - 2.0 * half_variance * d * bend) / math.pi
-    out[0, 1] = (
-        d * (-w / square - 2.0 * half_variance * bend * (1.0 - 4.0 * w * w / square)) / math.pi
-    )
+    bent = 2.0 * half_variance * bend
+    out[0, 1] = d * (-w / square - bent * (1.0 - 4.0 * w * w / square)) / math.pi
     out[0, 2] = -2.0 * d * bend * wider / math.pi
-    out[0, 3] = (w / square - 2.0 * half_variance * bend * (1.0 - 4.0 * d * d / square)) / math.pi
+    out[0, 3] = (w / square - bent * (1.0 - 4.0 * d * d / square)) / math.pi
     out[1, 0] = 0.5 + side * (0.5 - fast * (1.0 + more))
     out[1, 1] = side * fast * (2.0 * more - abs(d) / w * (1.0 + more))
     out[1, 2] = -side * fast * wider / (w * w)
@@ -122,19 +121,6 @@ def between_nodes(place: Array, nodes: Array, first: Array, shares: Array) -> No
         shares[i, 1] = -a * c * d / (ab * bc * bd)
         shares[i, 2] = a * b * d / (ac * bc * cd)
         shares[i, 3] = -a * b * c / (ad * bd * cd)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def interpolated(first: Array, shares: Array, values: Array, out: Array) -> None:
-    """Fill `out` [n] with values [g] at the nodes, interpolated; see `between_nodes`."""
-    for i in range(first.size):
-        k = first[i]
-        out[i] = (
-            shares[i, 0] * values[k]
-            + shares[i, 1] * values[k + 1]
-            + shares[i, 2] * values[k + 2]
-            + shares[i, 3] * values[k + 3]
-        )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -190,34 +176,11 @@ def node_products(
             products[other, k] = products[k, other].T
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def node_reach(products: Array, reach: Array) -> None:
-    """Fill in [g 2]: the first node and the last but one that share pixels with each."""
-    nodes = products.shape[2]
-    for a in range(nodes):
-        reach[a] = a, a + 1
-        for b in range(nodes):
-            if products[0, 0, a, b] != 0.0:
-                reach[a, 0], reach[a, 1] = min(reach[a, 0], b), max(reach[a, 1], b + 1)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def times_nodes(products: Array, reach: Array, right: Array, out: Array) -> None:
-    """Fill `out` [g q] with products [g g] times `right` [g q]; see `node_reach`."""
-    for a in range(products.shape[0]):
-        own = out[a]
-        own[:] = 0.0
-        for b in range(reach[a, 0], reach[a, 1]):
-            share, other = products[a, b], right[b]
-            for q in range(own.size):
-                own[q] += share * other[q]
-
-
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def across_nodes(products: Array, reach: Array, power: Array, seen: Array, out: Array) -> None:
     """Fill in [k s g] what pixels see of columns [s g], each of a power, times all their factors.
 
-    out[k, m] = products[k, power_m] seen[m]
+    out[k, m] = products[k, power_m] seen[m],   of nodes from reach[a, 0] to reach[a, 1]
     """
     for k in range(products.shape[0]):
         for a in range(seen.shape[1]):

@@ -108,25 +108,20 @@ class EdgeLikelihood:
         self._precision = spread**-2.0
         knots, fixed = basis.size, gathered.response
         self.level_count = size = fixed + len(gathered.seen)
-        self._levels_precision, self._levels_centre = np.zeros(size), np.zeros(size)
-        self._levels_precision[:fixed] = gathered.precision
-        self._levels_centre[:fixed] = gathered.centre
-        self._factors = np.stack([one.factor for one in gathered.seen])
-        self._powers = np.array([one.power for one in gathered.seen])
+        self._levels_precision = np.pad(gathered.precision, (0, size - fixed))
+        self._levels_centre = np.pad(gathered.centre, (0, size - fixed))
+        powers, factors = zip(*gathered.seen, strict=True)
+        self._powers, self._factors = np.array(powers), np.stack(factors)
         by_heights = self._prior.by_heights
-        self._node_sums = [
-            np.vstack([by_heights(sums[:knots]), sums[knots:]]) for sums in gathered.node_sums
-        ]
+        node_sums = gathered.node_sums
+        self._node_sums = [np.vstack([by_heights(one[:knots]), one[knots:]]) for one in node_sums]
         # What the pixels tell of the heights H of the splines: H^T H = R^T R, R^T with a band.
         self._factor, self._band = _told(by_heights(by_heights(gathered.splines[:knots]).T))
         # What no parameter changes of the cross products.
-        fixed_heights = by_heights(gathered.splines[knots:].T).T
-        self._heights = np.zeros((size + 1, knots))
-        self._heights[:fixed], self._heights[-1] = fixed_heights[:-1], fixed_heights[-1]
-        self._gram = np.zeros((size + 1, size + 1))
-        self._gram[:fixed, :fixed] = gathered.fixed_fixed
-        self._gram[:fixed, -1] = self._gram[-1, :fixed] = gathered.fixed_values
-        self._gram[-1, -1] = gathered.squares
+        self._known = np.append(np.arange(fixed), size)  # fixed columns, and the pixels
+        self._heights, self._gram = np.zeros((size + 1, knots)), np.zeros((size + 1, size + 1))
+        self._heights[self._known] = by_heights(gathered.splines[knots:].T).T
+        self._gram[np.ix_(self._known, self._known)] = gathered.products
         # The shrinkage is a square: the sign of its root says nothing.
         self.twin = np.ones(self.size)
         self.twin[1] = -1.0
@@ -182,8 +177,8 @@ class EdgeLikelihood:
         response = self.base.response(g.nodes.place_px, parameters)
         model = g.fixed @ levels[: g.response]
         model += g.pixels.of(g.nodes.integrals @ coefficients)
-        for one, level in zip(g.seen, levels[g.response :], strict=True):
-            model += g.powers[:, one.power] * g.pixels.of(level * one.factor * response)
+        for (power, factor), level in zip(g.seen, levels[g.response :], strict=True):
+            model += g.powers[:, power] * g.pixels.of(level * factor * response)
         return np.asarray(model)
 
     def _moments(self, parameters: Vector) -> _Moments:
@@ -193,12 +188,11 @@ class EdgeLikelihood:
         across = np.empty((len(g.node_node), *seen.shape))
         across_nodes(g.node_node, g.reach, self._powers, seen, across)
         gram, heights = self._gram.copy(), self._heights.copy()
-        for k, one in enumerate(g.seen):
-            own, sums = fixed + k, self._node_sums[one.power] @ seen[k]
+        for k, power in enumerate(self._powers):
+            own, sums = fixed + k, self._node_sums[power] @ seen[k]
             heights[own] = sums[:knots]
-            gram[own, :fixed] = gram[:fixed, own] = sums[knots:-1]
-            gram[own, -1] = gram[-1, own] = sums[-1]
-            gram[own, fixed:-1] = across[one.power] @ seen[k]
+            gram[own, self._known] = gram[self._known, own] = sums[knots:]
+            gram[own, fixed:-1] = across[power] @ seen[k]
         return _Moments(base, across, gram, heights)
 
     def solved(self, parameters: Vector) -> Solution | None:
@@ -209,13 +203,13 @@ class EdgeLikelihood:
         covariance = self._prior.covariance(allowed[BASE_HYPERS:HYPERS])
         factor = np.empty((knots + len(m.heights), knots))
         matrix_kernels.within(self._band, covariance, variance, factor)
-        matrix_kernels.band_solved(self._band, m.heights)
+        heights = np.asarray(lapack.dtbtrs(self._band, m.heights.T, uplo="L")[0]).T
         # LAPACK counts along columns: it sees the transposed matrix.
         upper, failed = lapack.dpotrf(factor[:knots].T, lower=0, clean=0, overwrite_a=1)
         if failed:
             return None
-        factor[knots:] = lapack.dtrtrs(upper, m.heights.T, trans=1)[0].T
-        apart = m.gram - m.heights @ m.heights.T
+        factor[knots:] = lapack.dtrtrs(upper, heights.T, trans=1)[0].T
+        apart = m.gram - heights @ heights.T
         gram = apart / variance + factor[knots:] @ factor[knots:].T
         precision, centre = self._levels_precision, self._levels_centre
         levels_factor = _factor(gram[:-1, :-1] + np.diag(precision))
@@ -229,7 +223,7 @@ class EdgeLikelihood:
         value += 0.5 * (self.gathered.count - knots) * np.log(variance)
         z, beyond = allowed - self._mean, parameters - allowed
         value += 0.5 * float(z @ (self._precision * z) + beyond @ beyond / _WALL**2)
-        explained = _Explained(variance, factor, m.heights)
+        explained = _Explained(variance, factor, heights)
         return Solution(value, allowed, m, explained, apart, levels, levels_factor)
 
     def _heights_of(self, seen: NDArray[np.float64]) -> Matrix:
@@ -258,8 +252,7 @@ class EdgeLikelihood:
         tops = _solve(found.levels_factor, np.eye(found.levels.size))
         covariance = tops.T @ tops
         gradient = (found.allowed - self._mean) * self._precision
-        inverse = np.empty((knots, knots))
-        matrix_kernels.inverted(lower, inverse)
+        inverse = lapack.dpotri(lower.T, lower=0)[0].T  # its lower triangle
         unseen = float(np.trace(inverse))
         levels = _solve(lower, one.factor[knots:-1].T, transposed=True).T
         left = self._misfit(found)
@@ -267,9 +260,8 @@ class EdgeLikelihood:
         matrix_kernels.downdated(inverse, np.vstack([tops @ levels, left]))
         by_covariance = np.empty((knots, knots))
         matrix_kernels.around(self._band, inverse, by_covariance)
-        gradient[BASE_HYPERS:HYPERS] += 0.5 * self._prior.gradient(
-            found.allowed[BASE_HYPERS:HYPERS], by_covariance
-        )
+        shape = slice(BASE_HYPERS, HYPERS)
+        gradient[shape] += 0.5 * self._prior.gradient(found.allowed[shape], by_covariance)
         rest = np.append(-found.levels, 1.0)
         trace = (g.count - knots) / variance + unseen
         squares = found.apart[:-1, :-1] / variance**2 + levels @ levels.T
@@ -288,14 +280,12 @@ class EdgeLikelihood:
         over = np.column_stack([levels.T @ covariance, left])
         shared = self._heights_of(one.followed(mixed, over))
         to_response = np.zeros(g.nodes.place_px.size)
-        for k, column in enumerate(g.seen):
-            own = fixed + k
+        for own, (power, factor) in enumerate(g.seen, fixed):
             both = covariance[:, own] + found.levels * found.levels[own]
             splines = found.levels[own] * shared[:, -1] - shared[:, own]
             factors = np.concatenate([splines, both[:fixed], [-found.levels[own]]])
-            to_node = factors @ self._node_sums[column.power]
-            to_node += both[fixed:] @ m.across[column.power]
-            to_response += column.factor * to_node
+            to_node = factors @ self._node_sums[power]
+            to_response += factor * (to_node + both[fixed:] @ m.across[power])
         slopes = self.base.slopes(m.base, found.allowed)
         return np.asarray(slopes @ to_response / one.variance)
 

@@ -26,20 +26,16 @@ _LOG_AMPLITUDE = (np.log(0.05), 0.7)
 _LOG_LENGTH = (np.log(1.1), 0.35)
 _LOG_TAIL = (np.log(1.0), 0.6)
 _LOGIT_SYMMETRY = (2.0, 2.0)
-HYPER_PRIOR = np.array(
-    [
-        *(_LOG_SIGMA, _ROOT_SHRINKAGE, _ROOT_TAIL, _LOG_TAIL_WIDTH, _SLOW, _PLACE),
-        *(_LOG_AMPLITUDE, _LOG_LENGTH, _LOG_TAIL, _LOGIT_SYMMETRY),
-    ]
-)
+HYPER_PRIOR = np.array([
+    _LOG_SIGMA, _ROOT_SHRINKAGE, _ROOT_TAIL, _LOG_TAIL_WIDTH, _SLOW, _PLACE,
+    _LOG_AMPLITUDE, _LOG_LENGTH, _LOG_TAIL, _LOGIT_SYMMETRY,
+])  # fmt: skip
 BASE_HYPERS = 6  # the first are of the base model, the others of the splines
 HYPERS = len(HYPER_PRIOR)
-HYPER_BOUNDS = np.array(
-    [
-        *((-2.5, 2.0), (-1.1, 1.1), (-1.0, 1.0), (-1.0, 3.0), (-1.0, 2.0), (-1.0, 1.0)),
-        *((-9.0, 0.5), (-1.4, 1.1), (-1.4, 3.5), (-8.0, 8.0)),
-    ]
-)
+HYPER_BOUNDS = np.array([
+    (-2.5, 2.0), (-1.1, 1.1), (-1.0, 1.0), (-1.0, 3.0), (-1.0, 2.0), (-1.0, 1.0),
+    (-9.0, 0.5), (-1.4, 1.1), (-1.4, 3.5), (-8.0, 8.0),
+])  # fmt: skip
 # At shrinkage 0 and tail 0 the likelihood is level and would hold a descent: start beside it.
 START = np.array([*HYPER_PRIOR[:1, 0], 0.2, 0.2, *HYPER_PRIOR[3:, 0]])
 # Typical sizes of a step.

@@ -20,34 +20,6 @@ from lensshift.core.arrays import Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def inverted(lower: Array, out: Array) -> None:
-    """Fill in the lower triangle of (L L^T)^-1 [j j]."""
-    size = lower.shape[0]
-    inverse = np.zeros((size + 3, size))  # four rows at a time
-    for i in range(size):
-        row = inverse[i]
-        for k in range(0, i, 4):
-            a = lower[i, k]
-            b = lower[i, k + 1] if k + 1 < i else 0.0
-            c = lower[i, k + 2] if k + 2 < i else 0.0
-            d = lower[i, k + 3] if k + 3 < i else 0.0
-            e, f, g, h = inverse[k], inverse[k + 1], inverse[k + 2], inverse[k + 3]
-            for j in range(min(k + 4, i)):
-                row[j] -= a * e[j] + b * f[j] + c * g[j] + d * h[j]
-        scale = 1.0 / lower[i, i]
-        for j in range(i):
-            row[j] *= scale
-        row[i] = scale
-    out[:] = 0.0
-    for k in range(0, size, 4):
-        e, f, g, h = inverse[k], inverse[k + 1], inverse[k + 2], inverse[k + 3]
-        for i in range(min(k + 4, size)):
-            own, a, b, c, d = out[i], e[i], f[i], g[i], h[i]
-            for j in range(i + 1):
-                own[j] += a * e[j] + b * f[j] + c * g[j] + d * h[j]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def downdated(matrix: Array, rows: Array) -> None:
     """Take sum_q r_q r_q^T from a symmetric matrix [j j] of which the lower triangle is given."""
     for i in range(matrix.shape[0]):
@@ -61,23 +33,11 @@ def downdated(matrix: Array, rows: Array) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def band_solved(band: Array, right: Array) -> None:
-    """Solve L u = r in place, in the first [j] of each row of `right` [q j].
+def around(band: Array, middle: Array, out: Array) -> None:
+    """Fill in L M L^T, M symmetric and L a band.
 
     `band` [m j] has the diagonals of L, the main one first: L_(i+m, i) at (m, i).
     """
-    for q in range(right.shape[0]):
-        row = right[q]
-        for i in range(band.shape[1]):
-            total = row[i]
-            for m in range(1, min(i + 1, band.shape[0])):
-                total -= band[m, i - m] * row[i - m]
-            row[i] = total / band[0, i]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def around(band: Array, middle: Array, out: Array) -> None:
-    """Fill in L M L^T, M symmetric and L a band; see `band_solved`."""
     size = band.shape[1]
     half = np.empty(size)
     for i in range(size):

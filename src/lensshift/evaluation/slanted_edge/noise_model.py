@@ -12,6 +12,8 @@ from scipy.special import fdtr, fdtrc
 from lensshift.core.arrays import Mask
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, Vector
 
+Places = NDArray[np.intp]
+
 _LARGEST_ORDER = 3
 _SIGNIFICANT = 1e-3
 NOISELESS = 1e-4  # of the contrast
@@ -64,7 +66,7 @@ class NoiseModel:
         return np.asarray(np.sqrt(variance))
 
     def whitener(
-        self, places: NDArray[np.intp], relative_sigma: Vector, normal_px: Vector
+        self, places: Places, relative_sigma: Vector, normal_px: Vector
     ) -> sparse.csr_array:
         """Return [m n]: pixels minus what their neighbours foretell, over their deviation.
 
@@ -136,7 +138,7 @@ def rounding_of(values: Vector, smooth: Vector) -> Rounding:
 
 
 def plateau_tilt_matters(
-    values: Vector, places: NDArray[np.intp], sides: list[Mask], columns: Matrix, least: float = 0.0
+    values: Vector, places: Places, sides: list[Mask], columns: Matrix, least: float = 0.0
 ) -> bool:
     """Tell whether planes describe the plateaus better than constants do (F test).
 
@@ -169,7 +171,7 @@ def few_factors(columns: Matrix, values: Vector) -> Vector:
     return np.asarray(np.linalg.lstsq(columns.T @ columns, columns.T @ values)[0])
 
 
-def _block_means(places: NDArray[np.intp], columns: Matrix) -> Matrix:
+def _block_means(places: Places, columns: Matrix) -> Matrix:
     """Return [b k]: means over blocks that are at least half full."""
     frame, row, col = (places // np.array([1, _BLOCK, _BLOCK])).T
     block = np.ravel_multi_index((frame, row, col), (frame.max() + 1, row.max() + 1, col.max() + 1))
@@ -179,7 +181,7 @@ def _block_means(places: NDArray[np.intp], columns: Matrix) -> Matrix:
     return np.asarray(sums[full] / count[full, None])
 
 
-def estimate_noise(residual: Vector, places: NDArray[np.intp], sides: list[Mask]) -> NoiseModel:
+def estimate_noise(residual: Vector, places: Places, sides: list[Mask]) -> NoiseModel:
     """Estimate the noise from the residuals [n] at places [n 3], by masks of both plateaus.
 
     The two sides get different levels only if an F test tells them apart; the order of the
@@ -206,7 +208,7 @@ def estimate_noise(residual: Vector, places: NDArray[np.intp], sides: list[Mask]
     return NoiseModel(together, together, order, prediction)
 
 
-def _by_distance(values: Vector, normal_px: Vector) -> tuple[Vector, NDArray[np.intp]]:
+def _by_distance(values: Vector, normal_px: Vector) -> tuple[Vector, Places]:
     """Return sums of squares [b], and counts, in steps of the distance from the edge."""
     number, bins = (np.abs(normal_px) / _NEAR_STEP_PX).astype(np.intp), _NEAR_STEPS + 1
     number = np.minimum(number, _NEAR_STEPS)
@@ -238,7 +240,7 @@ def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
     if order == 0:
         return NoiseModel(sigma, sigma, 0, np.zeros(0))
 
-    def at(lags: NDArray[np.intp]) -> NDArray[np.float64]:
+    def at(lags: Places) -> Matrix:
         inside = np.all(np.abs(lags) <= (rows, cols), axis=-1)
         row, col = np.moveaxis(np.where(inside[..., None], lags, 0), -1, 0)
         return np.where(inside, values[rows + row, cols + col], 0.0)
@@ -249,9 +251,7 @@ def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
     return NoiseModel(sigma, sigma, order, _limited(prediction))
 
 
-def _best_prediction(
-    scaled: Vector, places: NDArray[np.intp], sites: NDArray[np.intp]
-) -> tuple[int, Vector, float]:
+def _best_prediction(scaled: Vector, places: Places, sites: Places) -> tuple[int, Vector, float]:
     """Return order and factors that foretell noise [n] at places [n 3], and the variance left."""
     widest, sites = _half_plane(_LARGEST_ORDER), sites[:: max(1, sites.size // _MOST_SITES)]
     found = _look_up(_index_of(places), places[sites], widest)
@@ -283,13 +283,13 @@ def _limited(prediction: Vector) -> Vector:
     return prediction * min(1.0, _LARGEST_SUM / total) if total > 0.0 else prediction
 
 
-def _half_plane(order: int) -> NDArray[np.intp]:
+def _half_plane(order: int) -> Places:
     """Return [k 2]: steps to all neighbours within `order` that come earlier, row by row."""
     steps = range(-order, order + 1)
     return np.array([(dr, dc) for dr in steps for dc in steps if (dr, dc) < (0, 0)], dtype=np.intp)
 
 
-def _index_of(places: NDArray[np.intp]) -> NDArray[np.intp]:
+def _index_of(places: Places) -> Places:
     """Return [frame row col]: the number of the pixel there, -1 for none; a margin all round."""
     margin = _LARGEST_ORDER
     frames, rows, cols = places.max(axis=0) + 1
@@ -298,9 +298,7 @@ def _index_of(places: NDArray[np.intp]) -> NDArray[np.intp]:
     return index
 
 
-def _look_up(
-    index: NDArray[np.intp], places: NDArray[np.intp], steps: NDArray[np.intp]
-) -> NDArray[np.intp]:
+def _look_up(index: Places, places: Places, steps: Places) -> Places:
     """Return [n k]: the numbers of the pixels that lie each of the steps [k 2] from the places."""
     strides = np.array([index[0].size, index.shape[2], 1])
     start = places @ strides + _LARGEST_ORDER * strides[1:].sum()
@@ -312,7 +310,7 @@ def with_edge(
     residual: Vector,
     response: Vector,
     normal_px: Vector,
-    places: NDArray[np.intp],
+    places: Places,
 ) -> NoiseModel:
     """Return the noise with that near the edge, if there is more of it than on plateaus (F test).
 

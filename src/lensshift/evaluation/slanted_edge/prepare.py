@@ -245,12 +245,10 @@ class EdgeFrames:
                 f"{frame.size} in {region}"
             )
         rows, cols = part.shape[1:]
-        return Pixels(
-            places=np.column_stack([frame, row, col]),
-            row_px=row - (rows - 1) / 2.0 - self.offset_px[frame, 0],
-            col_px=col - (cols - 1) / 2.0 - self.offset_px[frame, 1],
-            values=part[frame, row, col],
-        )
+        row_px = row - (rows - 1) / 2.0 - self.offset_px[frame, 0]
+        col_px = col - (cols - 1) / 2.0 - self.offset_px[frame, 1]
+        places = np.column_stack([frame, row, col])
+        return Pixels(places, row_px, col_px, part[frame, row, col])
 
     def normal_pitch_mm(self, slope_rad: float, vertical: bool) -> float:
         """Return the length of a pixel along the normal of an edge, upright if `vertical`."""

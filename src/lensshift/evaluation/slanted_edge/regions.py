@@ -6,10 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lensshift.core.arrays import Mask
 from lensshift.evaluation.slanted_edge.geometry import explained_share
 from lensshift.evaluation.slanted_edge.result import Region
 
 Image = NDArray[np.float64]
+Places = NDArray[np.intp]
 
 _WHOLE_SHARE = 0.8  # of the variance that one step explains: the image is one edge
 _MOST_PIXELS = 20_000
@@ -125,7 +127,7 @@ def _share(image: Image, region: Region, noise: float, normal_rad: float | None 
     return explained_share(x_px, y_px, values, normal_rad) * variance / rest
 
 
-def _segments(crest: NDArray[np.bool_]) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+def _segments(crest: Mask) -> list[tuple[Places, Places]]:
     """Return lines and places of the straight parts of all crests, one place a line."""
     labels, count = ndimage.label(crest, structure=np.ones((3, 3)))
     if not count:
@@ -144,9 +146,7 @@ def _segments(crest: NDArray[np.bool_]) -> list[tuple[NDArray[np.intp], NDArray[
     return parts
 
 
-def _split(
-    lines: NDArray[np.intp], places: NDArray[np.intp]
-) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+def _split(lines: Places, places: Places) -> list[tuple[Places, Places]]:
     """Return the parts of a crest between its corners (Ramer 1972, Douglas and Peucker 1973)."""
     if lines.size < _LEAST_LENGTH_PX + 2 * _CORNER_PX:
         return []
@@ -158,12 +158,12 @@ def _split(
     return _split(lines[: worst + 1], places[: worst + 1]) + _split(lines[worst:], places[worst:])
 
 
-def _off_bend_px(lines: NDArray[np.intp], places: NDArray[np.intp]) -> float:
+def _off_bend_px(lines: Places, places: Places) -> float:
     return float(np.std(places - np.polyval(np.polyfit(lines, places, 2), lines)))
 
 
 def _around(
-    strength: Image, lines: NDArray[np.intp], places: NDArray[np.intp], least: float
+    strength: Image, lines: Places, places: Places, least: float
 ) -> tuple[tuple[int, int, int, int] | None, float]:
     """Return the region of one long straight crest above noise, and its angle to the lines."""
     first, last = int(lines[0]) + _CORNER_PX, int(lines[-1]) + 1 - _CORNER_PX

@@ -144,9 +144,8 @@ def sfrmat5(image: ArrayLike, *, order: int = 5, window: steps.Window = "tukey")
 
 def _lines_used(upright: Matrix, edge: Vector, slope: float) -> int:
     lines, columns = upright.shape
-    run_px = max(
-        float(np.ptp(polyval(np.arange(lines, dtype=np.float64), edge))), abs(slope) * (lines - 1)
-    )
+    bent_px = float(np.ptp(polyval(np.arange(lines, dtype=np.float64), edge)))
+    run_px = max(bent_px, abs(slope) * (lines - 1))
     if run_px > columns:
         raise ValueError(
             f"expected an edge that stays within {columns} pixels, got one that runs over "
