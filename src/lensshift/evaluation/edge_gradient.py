@@ -342,8 +342,7 @@ def _lines(values: ArrayLike) -> Floats:
         raise ValueError(
             f"expected [n] or [line n] with at least {_MIN_SAMPLES} samples, got {lines.shape}"
         )
-    bad = int(np.count_nonzero(~np.isfinite(lines)))
-    if bad:
+    if bad := int(np.count_nonzero(~np.isfinite(lines))):
         raise ValueError(f"expected finite values, got {bad} NaN or infinite")
     return np.atleast_2d(lines.astype(np.float64))
 

@@ -204,15 +204,12 @@ def _refuse_same_place(found: Sequence[_Group]) -> None:
     for one, other in itertools.combinations(found, 2):
         tops, bottoms, lefts, rights = zip(one.region, other.region, strict=True)
         shared = max(min(bottoms) - max(tops), 0) * max(min(rights) - max(lefts), 0)
-        if 2 * shared > min(_area(one.region), _area(other.region)):
+        areas = np.subtract(bottoms, tops) * np.subtract(rights, lefts)
+        if 2 * shared > min(areas):
             raise ValueError(
                 f"found bars of {one.frequency_lpmm:.4g} and of {other.frequency_lpmm:.4g} at one "
                 f"place, {one.region}: are both in the image? Give their regions"
             )
-
-
-def _area(region: Box) -> int:
-    return (region[1] - region[0]) * (region[3] - region[2])
 
 
 def _found(pixels: Pixels, frequency_lpmm: float) -> Box:

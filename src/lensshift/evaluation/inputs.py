@@ -20,8 +20,7 @@ def real_array(values: ArrayLike, name: str, axes: str = "[row col]") -> Floats:
 
 def check_finite(values: Floats, within: str = "") -> None:
     """Raise if a value is not finite; `within` ends the message."""
-    bad = int(np.count_nonzero(~np.isfinite(values)))
-    if bad:
+    if bad := int(np.count_nonzero(~np.isfinite(values))):
         raise ValueError(f"expected finite pixels, got {bad} NaN or infinite{within}")
 
 

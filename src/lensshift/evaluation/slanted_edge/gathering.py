@@ -41,10 +41,6 @@ class EdgeSamples:
     whitener: sparse.csr_array | None  # [m n] what makes their noise white, None for nothing
     unlike: float = 1.0  # share of the pixels that tell something of their own, see `Rounding`
 
-    def normal_px(self, geometry: Vector) -> Vector:
-        """Return the signed distance of each pixel from the edge."""
-        return distance_px(self.across_px, self.along_px, geometry, self.half_length_px)
-
 
 def distance_px(
     across_px: Vector, along_px: Vector, geometry: Vector, half_length_px: float
@@ -162,7 +158,8 @@ class Gathered:
 
 def gather(samples: EdgeSamples, nodes: Nodes, geometry: Vector, slope: Vector) -> Gathered:
     """Return the sums about one geometry; pixels change by the LSF [g] as the edge turns."""
-    normal_px = samples.normal_px(geometry)
+    places_px = samples.across_px, samples.along_px
+    normal_px = distance_px(*places_px, geometry, samples.half_length_px)
     pixels = nodes.between(normal_px)
     place = samples.along_px / samples.half_length_px
     highest = max(geometry.size - 1, samples.light)

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from lensshift.evaluation.slanted_edge import lsf_prior, matrix_kernels
+from lensshift.evaluation.slanted_edge import kernels, lsf_prior
 from lensshift.evaluation.slanted_edge.edge_model import BaseModel, SeenBase, SplineBasis
 from lensshift.evaluation.slanted_edge.gathering import Gathered
-from lensshift.evaluation.slanted_edge.kernels import across_nodes
 from lensshift.evaluation.slanted_edge.lsf_prior import BASE_HYPERS, HYPERS
 from lensshift.evaluation.slanted_edge.result import Matrix, Vector
 
@@ -186,7 +185,7 @@ class EdgeLikelihood:
         base = self.base.seen(g.nodes.place_px, parameters)
         seen = self._factors * base.response
         across = np.empty((len(g.node_node), *seen.shape))
-        across_nodes(g.node_node, g.reach, self._powers, seen, across)
+        kernels.across_nodes(g.node_node, g.reach, self._powers, seen, across)
         gram, heights = self._gram.copy(), self._heights.copy()
         for k, power in enumerate(self._powers):
             own, sums = fixed + k, self._node_sums[power] @ seen[k]
@@ -202,7 +201,7 @@ class EdgeLikelihood:
         m = self._moments(allowed)
         covariance = self._prior.covariance(allowed[BASE_HYPERS:HYPERS])
         factor = np.empty((knots + len(m.heights), knots))
-        matrix_kernels.within(self._band, covariance, variance, factor)
+        kernels.within(self._band, covariance, variance, factor)
         heights = np.asarray(lapack.dtbtrs(self._band, m.heights.T, uplo="L")[0]).T
         # LAPACK counts along columns: it sees the transposed matrix.
         upper, failed = lapack.dpotrf(factor[:knots].T, lower=0, clean=0, overwrite_a=1)
@@ -257,9 +256,9 @@ class EdgeLikelihood:
         levels = _solve(lower, one.factor[knots:-1].T, transposed=True).T
         left = self._misfit(found)
         gradient[:BASE_HYPERS] += self._by_base(found, covariance, levels, left)
-        matrix_kernels.downdated(inverse, np.vstack([tops @ levels, left]))
+        kernels.downdated(inverse, np.vstack([tops @ levels, left]))
         by_covariance = np.empty((knots, knots))
-        matrix_kernels.around(self._band, inverse, by_covariance)
+        kernels.around(self._band, inverse, by_covariance)
         shape = slice(BASE_HYPERS, HYPERS)
         gradient[shape] += 0.5 * self._prior.gradient(found.allowed[shape], by_covariance)
         rest = np.append(-found.levels, 1.0)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
-from lensshift.evaluation.slanted_edge.matrix_kernels import heights_covariance, heights_slopes
+from lensshift.evaluation.slanted_edge.kernels import heights_covariance, heights_slopes
 
 # Mean and standard deviation; lengths in units of `unit_px`. The Gaussian of the optics may be
 # anything from far below a pixel to well above it. The pixel may be smaller than its pitch (its

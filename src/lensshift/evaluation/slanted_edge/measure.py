@@ -140,8 +140,7 @@ def measure_edges(
     """
     if method not in METHODS:
         raise ValueError(f"expected a method of {', '.join(METHODS)}, got {method!r}")
-    foreign = sorted(set(options) - set(_OPTIONS[method]))
-    if foreign:
+    if foreign := sorted(set(options) - set(_OPTIONS[method])):
         known = ", ".join(_OPTIONS[method]) or "none"
         raise ValueError(f"{method} does not know {', '.join(foreign)}; its options: {known}")
     given: dict[str, Any] = dict(options)

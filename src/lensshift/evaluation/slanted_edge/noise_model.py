@@ -240,10 +240,12 @@ def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
     if order == 0:
         return NoiseModel(sigma, sigma, 0, np.zeros(0))
 
+    far = 2 * order  # the farthest that two neighbours lie apart; beyond the lags, noise is free
+    padded = np.pad(values, far)
+
     def at(lags: Places) -> Matrix:
-        inside = np.all(np.abs(lags) <= (rows, cols), axis=-1)
-        row, col = np.moveaxis(np.where(inside[..., None], lags, 0), -1, 0)
-        return np.where(inside, values[rows + row, cols + col], 0.0)
+        row, col = np.moveaxis(lags, -1, 0)
+        return np.asarray(padded[rows + far + row, cols + far + col])
 
     between = at(steps[:, None, :] - steps[None, :, :])
     between.flat[:: len(steps) + 1] += NOISELESS * variance  # smooth noise has nearly equal rows

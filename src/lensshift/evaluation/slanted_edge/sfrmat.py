@@ -160,8 +160,7 @@ def _empty(empty: int, esf: Vector, lines: int, slope: float) -> str:
 
 
 def _refuse_undefined(lsf: Vector, empty: int) -> None:
-    bad = int(np.count_nonzero(~np.isfinite(lsf)))
-    if bad:
+    if bad := int(np.count_nonzero(~np.isfinite(lsf))):
         raise ValueError(
             f"expected pixels in all bins or beside them, got {empty} of {lsf.size} empty, which "
             f"leave {bad} samples of the LSF undefined; {_REMEDY}"
@@ -223,8 +222,7 @@ def measure_binned(
     if frames.pitch_mm[0] != frames.pitch_mm[1]:
         raise ValueError(f"expected square pixels for {method}, got pitch {frames.pitch_mm} mm")
     image = frames.first[region.slices]
-    missing = int(np.count_nonzero(np.isnan(image)))
-    if missing:
+    if missing := int(np.count_nonzero(np.isnan(image))):
         raise ValueError(f"expected valid pixels for {method}, got {missing} invalid in {region}")
     found = (sfrmat3 if method == "sfrmat3" else sfrmat5)(image, **options)
     frequency_lpmm, modulation = found.frequency_cpp / frames.pitch_mm[0], found.modulation
