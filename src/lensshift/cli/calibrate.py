@@ -42,7 +42,8 @@ def calibrate(current: Session, asked: _CalibrateOptions) -> None:
     scan, lens_field, report = asked.scan, asked.lens_field, asked.report
     target = asked.out or scan.with_name(f"{scan.stem}_calibration.json")
     refined = target.with_name(f"{scan.stem}_lens_field.nc")
-    files = [target, *filter(None, [report, lens_field and refined])]
+    files = [target] if report is None else [target, report]
+    files += [] if lens_field is None else [refined]
     check_files((scan, lens_field), files)
     from lensshift.io import load_burst, load_lens_field, save_lens_field
     from lensshift.io.calibration_file import save_calibration

@@ -79,8 +79,8 @@ def chart(current: Session, asked: _ChartOptions) -> None:
         zone: picked(one, "focus sigma") | {"mtf50": one.mtf50_lpmm} for zone, one in fits.items()
     }
     suffix = f"_{unit.name.replace('/', '_per_').lower()}"
-    in_unit = {name for name in rows[0] if name.partition("_")[0] in ("mtf50", "mtf30", "mtf10")}
-    columns = {name + suffix * (name in in_unit): [row[name] for row in rows] for name in rows[0]}
+    endings = {name: suffix for name in rows[0] if name.startswith(("mtf50", "mtf30", "mtf10"))}
+    columns = {name + endings.get(name, ""): [row[name] for row in rows] for name in rows[0]}
     outputs.write_table(current, asked.csv, columns)
     if asked.annotate is not None:
         from lensshift.pipeline.run import made_folder

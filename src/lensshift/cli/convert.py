@@ -66,7 +66,6 @@ def convert(current: Session, asked: _ConvertOptions) -> None:
 
 def _convert_stream(current: Session, asked: _ConvertOptions) -> None:
     """Write all pictures of a sequence, one of them, or a result, as a stream."""
-    from lensshift.core.errors import QualityWarning
     from lensshift.io import load_reconstruction, load_window
     from lensshift.io.sequence_file import sequence_numbers
     from lensshift.io.stream_export import export_stream
@@ -80,11 +79,10 @@ def _convert_stream(current: Session, asked: _ConvertOptions) -> None:
         numbers = written.tolist() if window is None else [window]
         if window is None and len(written) < len(time_s):
             text = f"{source} was broken off: {len(written)} of {len(time_s)} pictures are there"
-            current.warn(text, QualityWarning, __file__, 0)
+            current.warn(text)
         with Progress(f"writing {target.name}") as progress:
-            pictures = (
-                (float(time_s[k]), _looking(load_window(source, k), asked)) for k in numbers
-            )
+            windows = ((k, load_window(source, k)) for k in numbers)
+            pictures = ((float(time_s[k]), _looking(one, asked)) for k, one in windows)
             export_stream(progress.counted(pictures, len(numbers)), target)
     current.say(f"wrote {target}")
 

@@ -77,13 +77,10 @@ def depth(current: Session, asked: _DepthOptions) -> None:
         _noise(current, image)
     told = current.result.items()
     numbers = {k: v for k, v in told if isinstance(v, int | float) and not isinstance(v, bool)}
-    outputs.write_table(
-        current, asked.to.csv, {"name": list(numbers), "value": list(numbers.values())}
-    )
-    seen: dict[str, Any] = {"valid": measured.valid, **options}
-    outputs.write_plot(
-        current, asked.to.plot, "depth.depth_figure", measured.values, true_m, **seen
-    )
+    columns = {"name": list(numbers), "value": list(numbers.values())}
+    outputs.write_table(current, asked.to.csv, columns)
+    shown = ("depth.depth_figure", measured.values, true_m)
+    outputs.write_plot(current, asked.to.plot, *shown, valid=measured.valid, **options)
 
 
 def _distance_image(path: Path, pitch_mm: str | None, key: str | None, frame: int) -> Measured:
@@ -162,9 +159,8 @@ def _plane(
         )
     row_mm = (np.arange(rows) - 0.5 * (rows - 1)) * measured.pitch_mm[0]
     col_mm = (np.arange(cols) - 0.5 * (cols - 1)) * measured.pitch_mm[1]
-    rays = np.stack(
-        [*np.meshgrid(row_mm, col_mm, indexing="ij"), np.full((rows, cols), focal_length_mm)], -1
-    )
+    sides_mm = np.meshgrid(row_mm, col_mm, [focal_length_mm], indexing="ij")
+    rays = np.concatenate(sides_mm, axis=-1)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     valid = None if measured.valid is None else measured.valid[cut]
     found = fit_plane(measured.values[cut], valid=valid, directions=rays[cut])

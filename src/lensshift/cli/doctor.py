@@ -50,12 +50,9 @@ def doctor(current: Session, asked: _DoctorOptions) -> None:
         current.say(f"wrote {asked.file}: look whether it is right, rest_mm above all")
     folder = asked.out or Path(time.strftime("doctor-%Y-%m-%d-%H%M%S"))
     with Show(current) as show:
-        done = examine_rig(
-            asked.rig or asked.file,
-            folder,
-            on_homing=homing_asked(yes=asked.yes),
-            on_step=show.named,
-        )
+        homing = homing_asked(yes=asked.yes)
+        rig = asked.rig or asked.file
+        done = examine_rig(rig, folder, on_homing=homing, on_step=show.named)
     if asked.rig is None and done.calibration is not None:
         with_calibration(asked.file, folder / "calibration.json")
     _say(current, done)

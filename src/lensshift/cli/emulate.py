@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -81,12 +82,10 @@ def rig(current: Session, asked: _RigOptions) -> None:
     from lensshift.pipeline.experiment_file import named_scene
 
     settings = RigSettings(
-        scene=named_scene(asked.scene),
-        play_mm=1e-3 * asked.play_um,
-        encoder_noise_mm=1e-3 * asked.noise_um,
-        seed=asked.course.seed,
+        scene=named_scene(asked.scene), play_mm=1e-3 * asked.play_um,
+        encoder_noise_mm=1e-3 * asked.noise_um, seed=asked.course.seed,
         **picked(asked, "message_loss packet_loss reorder rate_hz speed"),
-    )
+    )  # fmt: skip
     port = asked.port or free_udp_port()
     with EmulatedRig(settings, camera_port=port) as running:
         text = running.rig_file()
@@ -122,13 +121,9 @@ def stage(current: Session, asked: _StageOptions) -> None:
     if asked.link not in ("tcp", "pty"):
         raise typer.BadParameter(f"expected tcp or pty, got {asked.link!r}")
     with EmulatedStagePair(
-        play_mm=1e-3 * asked.play_um,
-        encoder_noise_mm=1e-3 * asked.noise_um,
-        loss=asked.loss,
-        speed=asked.speed,
-        seed=asked.course.seed,
-        link="pty" if asked.link == "pty" else "tcp",
-    ) as pair:
+        play_mm=1e-3 * asked.play_um, encoder_noise_mm=1e-3 * asked.noise_um, loss=asked.loss,
+        speed=asked.speed, seed=asked.course.seed, link="pty" if asked.link == "pty" else "tcp",
+    ) as pair:  # fmt: skip
         for axis, url in zip(("row", "col"), pair.urls, strict=True):
             current.say(f'{axis} = "{url}"')
         current.result |= {"stage": list(pair.urls)}
@@ -160,12 +155,9 @@ def o3m(current: Session, asked: _O3mOptions) -> None:
 
     port = asked.port or free_udp_port()
     with O3MSender(
-        _still_world(asked.scene, asked.course.seed).look,
-        port=port,
-        loss=asked.packet_loss,
-        seed=asked.course.seed,
-        **picked(asked, "rate_hz layout reorder"),
-    ) as sender:
+        _still_world(asked.scene, asked.course.seed).look, port=port, loss=asked.packet_loss,
+        seed=asked.course.seed, **picked(asked, "rate_hz layout reorder"),
+    ) as sender:  # fmt: skip
         current.say(f"O3M, layout {asked.layout}, sends to UDP port {port} at {asked.rate_hz:g} Hz")
         current.result |= {"camera_port": port}
         _until_stopped(asked.course, lambda: {"sent": sender.sent}, current)
@@ -219,13 +211,12 @@ def _still_world(scene: str, seed: int) -> EmulatedWorld:
 def _until_stopped(course: Course, counts: Callable[[], dict[str, int]], current: Session) -> None:
     """Wait for Ctrl-C, or so long; then say what was sent."""
     current.ready()
-    seconds = course.seconds
+    end_s = time.monotonic() + (math.inf if course.seconds is None else course.seconds)
     with suppress(KeyboardInterrupt):  # here it is the way out, not a failure
-        end_s = None if seconds is None else time.monotonic() + seconds
-        if seconds is None:
+        if course.seconds is None:
             current.say("Ctrl-C ends it.")
-        while end_s is None or time.monotonic() < end_s:
-            time.sleep(0.1 if end_s is None else min(0.1, max(0.0, end_s - time.monotonic())))
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            time.sleep(min(0.1, left_s))
     current.result |= counts()
     for name, count in counts().items():
         current.say(f"{name} {count} frames")

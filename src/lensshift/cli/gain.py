@@ -51,11 +51,10 @@ def gain(current: Session, asked: _GainOptions) -> None:
     place = images.parse_region(asked.region)
     outputs.check([fine, coarse], asked.to.csv, plot=asked.to.plot)
     of_fine, of_coarse = images.keys_of(key, fine, coarse)
-    below = (
-        images.measured_frames(coarse, key=of_coarse)
-        if asked.joint
-        else images.measured_image(coarse, asked.pitch_mm, key=of_coarse, frame=asked.frame)
-    )
+    if asked.joint:
+        below = images.measured_frames(coarse, key=of_coarse)
+    else:
+        below = images.measured_image(coarse, asked.pitch_mm, key=of_coarse, frame=asked.frame)
     above, scale = images.finer(images.measured_image(fine, None, key=of_fine), below)
     images.slices_of(place, below.values.shape[-2:])  # which refuses it in pixels of COARSE
     with _in_file(coarse):
@@ -81,9 +80,8 @@ def gain(current: Session, asked: _GainOptions) -> None:
     ]
     current.result |= {"gain": asdict(mean), "edges": rows}
     outputs.write_table(current, asked.to.csv, _table(gains))
-    outputs.write_plot(
-        current, asked.to.plot, "edges.gain_figure", *pairs[0], gains[0], unit=unit.name
-    )
+    shown = ("edges.gain_figure", *pairs[0], gains[0])
+    outputs.write_plot(current, asked.to.plot, *shown, unit=unit.name)
 
 
 @contextmanager

@@ -113,9 +113,8 @@ def measured_image(
         pitch = _pitch_of(result.grid, result.scale, path, pitch_mm)
         return Measured(result.channels[name].image, *pitch, scale=result.scale)
     if path.suffix.lower() == ".npz":
-        image = _named(
-            load_named_arrays(path), path, key, "distance_m" if distances else "amplitude"
-        )
+        usual = "distance_m" if distances else "amplitude"
+        image = _named(load_named_arrays(path), path, key, usual)
     else:
         keys_of(key, path)
         image = load_frames(path)

@@ -86,12 +86,8 @@ def _say_burst(current: Session, burst: Burst, heading: str) -> None:
     current.tell(burst.grid, "pitch_mm")
     current.tell(burst, "modulation_hz offset_source offset_px offset_sigma_px")
     view = view_of(burst.intrinsics, burst.grid.shape)
-    current.result |= {
-        "view": view,
-        "has_stage": burst.stage_mm is not None,
-        "has_time": burst.time_s is not None,
-        "meta": dict(burst.meta),
-    }
+    current.result |= {"view": view, "has_stage": burst.stage_mm is not None}
+    current.result |= {"has_time": burst.time_s is not None, "meta": dict(burst.meta)}
     _say_frames(current, burst.amplitude, burst.distance_m, burst.valid)
     _say_pitch(current, burst.grid)
     modulation = ", ".join(f"{hz:g} Hz" for hz in burst.frequencies_hz) or "not known"

@@ -77,7 +77,18 @@ def kind_of(path: Path) -> Kind:
 
 def load_input_burst(path: Path, options: StackOptions, *, to_register: bool = False) -> Burst:
     """Read a burst file or an image stack, which need no offsets if they are still looked for."""
-    burst = _load(path, options)
+    from lensshift.io import load_burst, load_image_stack
+
+    pitch_mm = None if options.pitch_mm is None else parse_pitch_mm(options.pitch_mm)
+    kind = kind_of(path)
+    if kind is Kind.STACK:
+        told = picked(options, "key modulation_hz") | {"pitch_mm": pitch_mm}
+        axis = FRAME_AXES[options.frame_axis]
+        burst = load_image_stack(path, options.offsets, frame_axis=axis, **told)
+    elif kind is not Kind.BURST:
+        raise DataError(f"expected a burst, got a {kind.value}", source=path)
+    else:
+        burst = _told_more(load_burst(path), path, options)
     if burst.offset_source == "unknown" and not to_register:
         raise DataError(
             f"no shifts are given for {burst.frame_count} frames; give --offsets, a CSV or JSON "
@@ -88,27 +99,13 @@ def load_input_burst(path: Path, options: StackOptions, *, to_register: bool = F
     return burst
 
 
-def _load(path: Path, options: StackOptions) -> Burst:
-    from lensshift.io import load_burst, load_image_stack
-
-    pitch_mm = None if options.pitch_mm is None else parse_pitch_mm(options.pitch_mm)
-    kind = kind_of(path)
-    if kind is Kind.STACK:
-        return load_image_stack(
-            path,
-            options.offsets,
-            pitch_mm=pitch_mm,
-            frame_axis=FRAME_AXES[options.frame_axis],
-            **picked(options, "key modulation_hz"),
-        )
-    if kind is not Kind.BURST:
-        raise DataError(f"expected a burst, got a {kind.value}", source=path)
+def _told_more(burst: Burst, path: Path, options: StackOptions) -> Burst:
+    """Return the burst of a file with the modulation that the file does not tell."""
     if replace(options, modulation_hz=None) != StackOptions():
         raise typer.BadParameter(
             f"{path} is a burst file and says itself where its frames lie; leave out --offsets, "
             "--pitch-mm, --key and --frame-axis"
         )
-    burst = load_burst(path)
     if options.modulation_hz is None:
         return burst
     if burst.modulation_hz is not None:
@@ -144,12 +141,9 @@ def parse_numbers(text: str, count: int, expected: str, *, ends: bool = True) ->
 
 def refuse_overwriting(inputs: Iterable[Path | None], outputs: Iterable[Path]) -> None:
     """Raise a usage error if an output is an input (or in an input folder), or comes twice."""
-    taken = {
-        file.resolve(): "would overwrite the input"
-        for path in inputs
-        if path is not None
-        for file in (path.iterdir() if path.is_dir() else (path,))
-    }
+    given = (path for path in inputs if path is not None)
+    files = (file for path in given for file in (path.iterdir() if path.is_dir() else (path,)))
+    taken = {file.resolve(): "would overwrite the input" for file in files}
     for output in outputs:
         place = output.resolve()
         if place in taken:

@@ -157,10 +157,9 @@ def mtf(current: Session, asked: _MtfOptions) -> None:
     current.result |= {"lens": model.name or asked.of.lens, "nyquist_lpmm": nyquist_lpmm}
     current.result |= {"travel_mm": travel_mm, "frequency_lpmm": frequency}
     current.result |= {"mtf": curves, "diffraction_limit": limit}
-    columns = {"frequency_lpmm": frequency, **curves, "diffraction limit": limit}
-    outputs.write_table(
-        current, asked.csv, {name.replace(",", ";"): row for name, row in columns.items()}
-    )
+    table = {"frequency_lpmm": frequency, **curves, "diffraction limit": limit}
+    columns = {name.replace(",", ";"): values for name, values in table.items()}
+    outputs.write_table(current, asked.csv, columns)
     figures = optics.lens_figures(model, moved, travel_mm, grid, fields_tan, highest_lpmm=highest)
     drawn, of, options = figures["map" if asked.figure == "field" else asked.figure]
     outputs.write_plot(current, asked.plot, drawn, *of, **options)
@@ -195,9 +194,8 @@ def which(current: Session, asked: _WhichOptions) -> None:
     current.say(format_movers(movers))
     rows = [asdict(mover) | {"element": mover.element + 1} for mover in movers]
     current.result |= {"lens": model.name or asked.of.lens, "movers": rows}
-    outputs.write_table(
-        current, asked.to.csv, {name: [row[name] for row in rows] for name in rows[0]}
-    )
+    columns = {name: [row[name] for row in rows] for name in rows[0]}
+    outputs.write_table(current, asked.to.csv, columns)
     outputs.write_plot(current, asked.to.plot, "lenses.which_figure", movers)
 
 

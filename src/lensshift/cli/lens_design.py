@@ -220,9 +220,8 @@ def tolerance(current: Session, asked: _ToleranceOptions) -> None:
     columns = {"build": list(range(builds)), "worst_mtf": found.worst_mtf}
     columns |= {"shift_error_px": found.shift_error_px, "refocus_mm": found.refocus_mm}
     outputs.write_table(current, asked.to.csv, columns)
-    outputs.write_plot(
-        current, asked.to.plot, "lens_build.tolerance_figure", found, asked.limit, table=table
-    )
+    shown = ("lens_build.tolerance_figure", found, asked.limit)
+    outputs.write_plot(current, asked.to.plot, *shown, table=table)
 
 
 def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: float) -> None:

@@ -71,9 +71,8 @@ def field(current: Session, asked: _FieldOptions) -> None:
     motion: Motion | None = "tilt" if asked.tilt else None
     grid = _grid(asked)
     with Progress("tracing") as progress:
-        found = lens_field(
-            model, grid, moved, motion=motion, reach_px=reach_px, on_progress=progress.count
-        )
+        told: dict[str, Any] = {"motion": motion, "reach_px": reach_px}
+        found = lens_field(model, grid, moved, on_progress=progress.count, **told)
     found = replace(found, lens=found.lens or Path(asked.lens).stem)
     if out is not None:
         save_lens_field(found, out)

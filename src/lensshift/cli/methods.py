@@ -109,13 +109,10 @@ def methods(current: Session, asked: _MethodsOptions) -> None:
     width = max(map(len, chosen))
     for key, one in chosen.items():
         options = [
-            {
-                "name": known.name,
-                "default": known.default,
-                "expected": known.metadata["rule"].expected if "rule" in known.metadata else "",
-            }
+            {"name": known.name, "default": known.default,
+             "expected": known.metadata["rule"].expected if "rule" in known.metadata else ""}
             for known in fields(one)
-        ]
+        ]  # fmt: skip
         current.result[key] = {"summary": one.summary, "options": options}
         current.say(f"{key:<{width}}  {one.summary}")
         for option in options:

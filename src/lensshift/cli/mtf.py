@@ -81,11 +81,10 @@ def mtf(current: Session, asked: _MtfOptions) -> None:
     """
     place = images.parse_region(asked.region)
     outputs.check([asked.of.image], asked.to.csv, plot=asked.to.plot)
-    measured = (
-        images.measured_frames(asked.of.image, key=asked.of.key)
-        if asked.joint
-        else images.measured_photograph(asked.of, asked.photo)
-    )
+    if asked.joint:
+        measured = images.measured_frames(asked.of.image, key=asked.of.key)
+    else:
+        measured = images.measured_photograph(asked.of, asked.photo)
     unit = images.frequency_unit(measured, asked.focal_length_mm)
     results = edges_of(measured, place, **asked.edges.given())
     curve, frequency = _tell(current, results, unit, measured.length, asked.edges.at or [])

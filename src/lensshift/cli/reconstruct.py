@@ -227,7 +227,7 @@ def _reconstruct(
     told = f"{count} frames of {rows} x {cols} px, offsets {burst.offset_source}"
     current.say(f"{source}: {told if count > 1 else f'one frame of {rows} x {cols} px'}")
     if (little := _adds_little(burst)) and not settings.keys() & {"shift_field", "lens_field"}:
-        current.warn(little, QualityWarning, "", 0)
+        current.warn(little)
     start_s = time.perf_counter()
     progress = Progress(f"reconstructing with {settings['method']}", preparing=True)
     with progress, naming(source):

@@ -62,7 +62,6 @@ def reconstruct_windows(
     current: Session, asked: ReconstructOptions, settings: dict[str, Any]
 ) -> None:
     """Make the sequence of a recording and say what became of it."""
-    from lensshift.core.errors import QualityWarning
     from lensshift.pipeline.recording import reconstruct_recording
 
     source, split = asked.burst, asked.split
@@ -90,7 +89,7 @@ def reconstruct_windows(
     if found.contradicted or found.said:
         bad = f"{found.contradicted} of {made} pictures are contradicted by their frames"
         bad = bad if found.contradicted else "no picture is contradicted by its frames, but"
-        current.warn(f"{bad}: {'; '.join(found.said)}", QualityWarning, __file__, 0)
+        current.warn(f"{bad}: {'; '.join(found.said)}")
     current.wrote(found.path)
     current.result["input"] = source
     current.tell(found, "windows resumed contradicted seconds")

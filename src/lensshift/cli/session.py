@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from shutil import get_terminal_size
-from typing import Annotated, Any, TextIO, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 
@@ -88,16 +88,8 @@ class Session:
         if self.as_json:
             typer.echo(to_json(self.result, indent=None))
 
-    def warn(
-        self,
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
-        """Print a warning once, on one line (has the signature of `warnings.showwarning`)."""
+    def warn(self, message: Warning | str, *_: Any, **__: Any) -> None:
+        """Print a warning once, on one line (takes what `warnings.showwarning` is given)."""
         text = printable(" ".join(str(message).split()))
         if text not in self.warnings:
             self.warnings.append(text)

@@ -70,10 +70,9 @@ def simulate(current: Session, asked: _SimulateOptions) -> None:
     from lensshift.pipeline.run import save_truth
 
     settings = _camera(asked)
-    pattern_px, told = named_pattern_px(asked.pattern), picked(asked, "scale shift_error_px seed")
-    capture = simulate_tof(
-        named_scene(asked.scene), settings, pattern_px, on_progress=current.count, **told
-    )
+    told = picked(asked, "scale shift_error_px seed") | {"on_progress": current.count}
+    pattern_px = named_pattern_px(asked.pattern)
+    capture = simulate_tof(named_scene(asked.scene), settings, pattern_px, **told)
     save_burst(capture.burst, out)
     save_truth(capture.truth, truth_file)
     if phases is not None:

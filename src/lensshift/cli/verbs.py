@@ -99,12 +99,9 @@ class FullHelp(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the verbs and their first sentences."""
-        verbs = {name: self.get_command(ctx, name) for name in self.list_commands(ctx)}
-        rows = [
-            (name, verb.get_short_help_str(_MOST_CHARACTERS))
-            for name, verb in verbs.items()
-            if verb is not None and not verb.hidden
-        ]
+        names = self.list_commands(ctx)
+        verbs = [one for name in names if (one := self.get_command(ctx, name)) and not one.hidden]
+        rows = [(str(one.name), one.get_short_help_str(_MOST_CHARACTERS)) for one in verbs]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
 
