@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
+from lensshift.core.arrays import Mask
 from lensshift.evaluation.slanted_edge.edge_model import Matrix, SplineBasis, Vector
 from lensshift.evaluation.slanted_edge.gathering import Nodes, distance_px
 
@@ -116,11 +116,7 @@ class FreeResponse:
     """ESF and LSF at every pixel when nothing but those used (a mask [n]) says what they are."""
 
     def __init__(
-        self,
-        normal_px: Vector,
-        basis: SplineBasis,
-        nodes: Nodes,
-        used: NDArray[np.bool_] | None = None,
+        self, normal_px: Vector, basis: SplineBasis, nodes: Nodes, used: Mask | None = None
     ) -> None:
         self._used = slice(None) if used is None else used
         rows, self._sums = basis.rising(normal_px[self._used])

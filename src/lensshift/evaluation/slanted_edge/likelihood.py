@@ -28,15 +28,29 @@ _ROUNDING = 1e-14  # of sums over pixels
 
 
 @dataclass(frozen=True, slots=True)
-class _Explained:
-    """The splines in coordinates R h, in which the noise of the pixels is white and even.
+class Solution:
+    """Everything about one point: X are the levels, H the heights, y the pixels.
 
-    S = R K R^T + s^2,   W = R^-T H^T [X y]
+    Splines are told in coordinates R h, in which the noise of the pixels is white and even:
+
+        S = R K R^T + s^2,   W = R^-T H^T [X y]
     """
 
+    value: float
+    allowed: Vector
+    base: SeenBase  # what the nodes see of the base model
+    across: NDArray[np.float64]  # [k s g] what pixels times P_k see of columns that follow it
     variance: float  # s^2
     factor: Matrix  # [j + p + 1, j] L with L L^T = S, and below it (L^-1 W)^T
     shown: Matrix  # [p + 1, j] W^T
+    apart: Matrix  # what of [X y]^T [X y] no spline follows
+    levels: Vector
+    levels_factor: Matrix
+
+    @property
+    def left(self) -> Vector:
+        """What the levels leave of the pixels [j]."""
+        return np.asarray(self.shown[-1] - self.levels @ self.shown[:-1])
 
     def over(self, right: NDArray[np.float64]) -> Matrix:
         """Return S^-1 times [j ...]."""
@@ -49,39 +63,6 @@ class _Explained:
         That is (1 - s^2 S^-1) times it; `over` is S^-1 times `right`.
         """
         return np.asarray(right - self.variance * over)
-
-
-@dataclass(frozen=True, slots=True)
-class _Moments:
-    """The design and its cross products: X are the levels, H the heights, y the pixels.
-
-    `base` is what the nodes see of the base model, `across` [k s g] what the pixels times their
-    factor k see of the columns that follow it, `gram` is [X y]^T [X y], `heights` [X y]^T H.
-    """
-
-    base: SeenBase
-    across: NDArray[np.float64]
-    gram: Matrix
-    heights: Matrix
-
-
-@dataclass(frozen=True, slots=True)
-class Solution:
-    """Everything about one point; `apart` is what of [X y]^T [X y] no spline follows."""
-
-    value: float
-    allowed: Vector
-    moments: _Moments
-    explained: _Explained
-    apart: Matrix
-    levels: Vector
-    levels_factor: Matrix
-
-    @property
-    def left(self) -> Vector:
-        """What the levels leave of the pixels in the coordinates of `_Explained` [j]."""
-        shown = self.explained.shown
-        return np.asarray(shown[-1] - self.levels @ shown[:-1])
 
 
 class EdgeLikelihood:
@@ -132,7 +113,7 @@ class EdgeLikelihood:
 
     def coefficients(self, found: Solution) -> Vector:
         """Return the most likely coefficients at a point."""
-        seen = found.explained.followed(found.left, self._misfit(found))
+        seen = found.followed(found.left, found.over(found.left))
         return self._prior.coefficients(self._heights_of(seen))
 
     def drawn(
@@ -147,15 +128,14 @@ class EdgeLikelihood:
             noise = rng.standard_normal((one.levels.size, count))
             levels.append(one.levels[:, None] + _solve(one.levels_factor, noise, transposed=True))
             white.append(self._prior.white(count, rng))
-            grain.append(np.sqrt(one.explained.variance) * rng.standard_normal((knots, count)))
+            grain.append(np.sqrt(one.variance) * rng.standard_normal((knots, count)))
         shapes = np.repeat([one.allowed[BASE_HYPERS:HYPERS] for one in found], counts, axis=0)
         heights = self._prior.drawn(shapes, np.vstack(white))
         seen = np.split(self._factor.T @ heights + np.hstack(grain), np.cumsum(counts), 1)
         missing = []
         for one, level, part in zip(found, levels, seen[:-1], strict=True):
-            shown = one.explained.shown
-            rest = shown[-1][:, None] - shown[:-1].T @ level - part
-            missing.append(one.explained.followed(rest, one.explained.over(rest)))
+            rest = one.shown[-1][:, None] - one.shown[:-1].T @ level - part
+            missing.append(one.followed(rest, one.over(rest)))
         heights += self._heights_of(np.hstack(missing))
         return np.hstack(levels), self._prior.coefficients(heights)
 
@@ -180,7 +160,8 @@ class EdgeLikelihood:
             model += g.powers[:, power] * g.pixels.of(level * factor * response)
         return np.asarray(model)
 
-    def _moments(self, parameters: Vector) -> _Moments:
+    def _moments(self, parameters: Vector) -> tuple[SeenBase, NDArray[np.float64], Matrix, Matrix]:
+        """Return `base` and `across` of a solution, [X y]^T [X y], and [X y]^T H."""
         g, knots, fixed = self.gathered, self.basis.size, self.gathered.response
         base = self.base.seen(g.nodes.place_px, parameters)
         seen = self._factors * base.response
@@ -192,23 +173,23 @@ class EdgeLikelihood:
             heights[own] = sums[:knots]
             gram[own, self._known] = gram[self._known, own] = sums[knots:]
             gram[own, fixed:-1] = across[power] @ seen[k]
-        return _Moments(base, across, gram, heights)
+        return base, across, gram, heights
 
     def solved(self, parameters: Vector) -> Solution | None:
         """Return what the pixels say at a point, None where nothing can."""
         knots, allowed = self.basis.size, self.bounded(parameters)
         variance = float(np.exp(2.0 * allowed[-1])) + MODEL_ERROR**2
-        m = self._moments(allowed)
+        base, across, gram, heights = self._moments(allowed)
         covariance = self._prior.covariance(allowed[BASE_HYPERS:HYPERS])
-        factor = np.empty((knots + len(m.heights), knots))
+        factor = np.empty((knots + len(heights), knots))
         kernels.within(self._band, covariance, variance, factor)
-        heights = np.asarray(lapack.dtbtrs(self._band, m.heights.T, uplo="L")[0]).T
+        shown = np.asarray(lapack.dtbtrs(self._band, heights.T, uplo="L")[0]).T
         # LAPACK counts along columns: it sees the transposed matrix.
         upper, failed = lapack.dpotrf(factor[:knots].T, lower=0, clean=0, overwrite_a=1)
         if failed:
             return None
-        factor[knots:] = lapack.dtrtrs(upper, heights.T, trans=1)[0].T
-        apart = m.gram - heights @ heights.T
+        factor[knots:] = lapack.dtrtrs(upper, shown.T, trans=1)[0].T
+        apart = gram - shown @ shown.T
         gram = apart / variance + factor[knots:] @ factor[knots:].T
         precision, centre = self._levels_precision, self._levels_centre
         levels_factor = _factor(gram[:-1, :-1] + np.diag(precision))
@@ -222,19 +203,12 @@ class EdgeLikelihood:
         value += 0.5 * (self.gathered.count - knots) * np.log(variance)
         z, beyond = allowed - self._mean, parameters - allowed
         value += 0.5 * float(z @ (self._precision * z) + beyond @ beyond / _WALL**2)
-        explained = _Explained(variance, factor, heights)
-        return Solution(value, allowed, m, explained, apart, levels, levels_factor)
+        seen = base, across, variance, factor, shown, apart
+        return Solution(value, allowed, *seen, levels, levels_factor)
 
     def _heights_of(self, seen: NDArray[np.float64]) -> Matrix:
         """Return heights [j ...] as R sees them."""
         return _solve(self._factor, seen, transposed=True)
-
-    def _misfit(self, found: Solution) -> Vector:
-        """Return S^-1 times what the levels leave of the pixels."""
-        knots = self.basis.size
-        below = found.explained.factor[knots:]
-        left = below[-1] - found.levels @ below[:-1]
-        return _solve(found.explained.factor[:knots], left, transposed=True)
 
     def _gradient(self, parameters: Vector, found: Solution) -> Vector:
         """Return the gradient.
@@ -246,15 +220,15 @@ class EdgeLikelihood:
         with the prior and the noise, and by sum over pixels (C^-1 X D - C^-1 r b^T) dX with the
         design, D the covariance of the levels.
         """
-        g, knots, one = self.gathered, self.basis.size, found.explained
-        variance, lower = one.variance, one.factor[:knots]
+        g, knots, variance = self.gathered, self.basis.size, found.variance
+        lower = found.factor[:knots]
         tops = _solve(found.levels_factor, np.eye(found.levels.size))
         covariance = tops.T @ tops
         gradient = (found.allowed - self._mean) * self._precision
         inverse = lapack.dpotri(lower.T, lower=0)[0].T  # its lower triangle
         unseen = float(np.trace(inverse))
-        levels = _solve(lower, one.factor[knots:-1].T, transposed=True).T
-        left = self._misfit(found)
+        levels = _solve(lower, found.factor[knots:-1].T, transposed=True).T
+        left = found.over(found.left)
         gradient[:BASE_HYPERS] += self._by_base(found, covariance, levels, left)
         kernels.downdated(inverse, np.vstack([tops @ levels, left]))
         by_covariance = np.empty((knots, knots))
@@ -272,21 +246,20 @@ class EdgeLikelihood:
 
     def _by_base(self, found: Solution, covariance: Matrix, levels: Matrix, left: Vector) -> Vector:
         """Return the slopes by the parameters of the base model."""
-        g, m, one = self.gathered, found.moments, found.explained
-        fixed = g.response
+        g, fixed = self.gathered, self.gathered.response
         # Of the levels' covariance, and of the misfit, what the splines take up.
-        mixed = np.column_stack([one.shown[:-1].T @ covariance, found.left])
+        mixed = np.column_stack([found.shown[:-1].T @ covariance, found.left])
         over = np.column_stack([levels.T @ covariance, left])
-        shared = self._heights_of(one.followed(mixed, over))
+        shared = self._heights_of(found.followed(mixed, over))
         to_response = np.zeros(g.nodes.place_px.size)
         for own, (power, factor) in enumerate(g.seen, fixed):
             both = covariance[:, own] + found.levels * found.levels[own]
             splines = found.levels[own] * shared[:, -1] - shared[:, own]
             factors = np.concatenate([splines, both[:fixed], [-found.levels[own]]])
             to_node = factors @ self._node_sums[power]
-            to_response += factor * (to_node + both[fixed:] @ m.across[power])
-        slopes = self.base.slopes(m.base, found.allowed)
-        return np.asarray(slopes @ to_response / one.variance)
+            to_response += factor * (to_node + both[fixed:] @ found.across[power])
+        slopes = self.base.slopes(found.base, found.allowed)
+        return np.asarray(slopes @ to_response / found.variance)
 
 
 def _told(squares: Matrix) -> tuple[Matrix, Matrix]:
