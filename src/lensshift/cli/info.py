@@ -69,7 +69,7 @@ def info(current: Session, asked: _InfoOptions) -> None:
     kind = kind_of(file)
     current.result |= {"file": file, "kind": kind.value, "schema": schema}
     heading = f"{file}: {kind.value}" + (f", schema {schema}" if schema else "")
-    # Files are read before a word is said: they may be damaged.
+    # Bursts and results are read before a word is said: they may be damaged.
     if kind is Kind.RECONSTRUCTION:
         _say_result(current, load_reconstruction(file), heading)
     elif kind is Kind.SEQUENCE:

@@ -96,10 +96,10 @@ def fit_edge(edge: UprightEdge, frequency_cpp: Vector, asked: LikelySettings) ->
     normal_px, *told = _curves(likelihood, frequency_cpp, ends_px, draws, missing)
     told.append(_moved(likelihood, parameters, levels))
     transform, esf, lsf, geometry = (_widened(one, drawn.widening) for one in told)
-    factors, response = (levels[:, 0], coefficients[:, 0]), likelihood.gathered.response
-    height = factors[0][response] + likelihood.basis.area_px @ factors[1]
-    left, dark = edge.scaled - likelihood.model_of(drawn.best, *factors), float(factors[0][0])
-    return EdgeFit(edge, noise, geometry, dark, float(height), transform, normal_px, esf, lsf, left)
+    level, coefficient = levels[:, 0], coefficients[:, 0]  # of the optimum
+    height = float(level[likelihood.gathered.response] + likelihood.basis.area_px @ coefficient)
+    left, dark = edge.scaled - likelihood.model_of(drawn.best, level, coefficient), float(level[0])
+    return EdgeFit(edge, noise, geometry, dark, height, transform, normal_px, esf, lsf, left)
 
 
 def _placed(
