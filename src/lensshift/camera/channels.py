@@ -16,16 +16,10 @@ _PLAIN = 4  # light, reflectance, light x distance, light x distance^2
 
 @dataclass(frozen=True, slots=True)
 class Tones:
-    """Frequencies in the correlation of a pixel: modulation frequencies times harmonics.
+    """Frequencies in the correlation of a pixel: modulation frequencies times harmonics."""
 
-    Parameters
-    ----------
-    modulation_hz : [frequency]
-    harmonics : 1 and those that the pixel hears besides
-    """
-
-    modulation_hz: tuple[float, ...]
-    harmonics: tuple[int, ...] = (1,)
+    modulation_hz: tuple[float, ...]  # [frequency]
+    harmonics: tuple[int, ...] = (1,)  # 1 and those that the pixel hears besides
 
     @property
     def count(self) -> int:
@@ -77,16 +71,10 @@ class Tones:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """Means over the footprints of pixels, without noise.
+    """Means over the footprints of pixels, without noise."""
 
-    Parameters
-    ----------
-    values : [row col channel]
-    tones : of the phasors
-    """
-
-    values: Array
-    tones: Tones
+    values: Array  # [row col channel]
+    tones: Tones  # of the phasors
 
     @property
     def light(self) -> Array:

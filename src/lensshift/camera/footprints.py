@@ -26,20 +26,12 @@ _LEAST_WEIGHT = 1e-9  # of a cell in a pixel
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footprints:
-    """Where the pixels of one image look, in LR pixels of the camera at rest.
+    """Where the pixels of one image look, in LR pixels of the camera at rest."""
 
-    Parameters
-    ----------
-    per_px : pixels along an LR pixel
-    offset_px : [row col 2], or [1 1 2]; the content moved down / right
-    side_px : of the square over which a pixel averages
-    blur : of the lens: sigma in LR pixels of a Gaussian, or spots
-    """
-
-    per_px: int
-    offset_px: Array
-    side_px: float
-    blur: float | SpotBlur
+    per_px: int  # pixels along an LR pixel
+    offset_px: Array  # [row col 2], or [1 1 2]; the content moved down / right
+    side_px: float  # of the square over which a pixel averages
+    blur: float | SpotBlur  # of the lens: sigma in LR pixels of a Gaussian, or spots
 
     @property
     def reach_px(self) -> float:
@@ -57,16 +49,11 @@ class Footprints:
 
 @dataclass(frozen=True, slots=True)
 class _Tile:
-    """Cells from `first` to before `last`, (row, col), counted from the corner of the sensor.
-
-    Parameters
-    ----------
-    samples : cells across an LR pixel
-    """
+    """Cells from `first` to before `last`, (row, col), counted from the corner of the sensor."""
 
     first: tuple[int, int]
     last: tuple[int, int]
-    samples: int
+    samples: int  # cells across an LR pixel
 
     def borders_px(self, axis: int) -> Array:
         """Return the places on the sensor where cells begin, and where the last one ends."""

@@ -37,21 +37,13 @@ class O3mImages:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Image:
-    """One frame as it leaves the camera.
+    """One frame as it leaves the camera."""
 
-    Parameters
-    ----------
-    amplitude : [row col] 1: as many electrons as a tap holds, in the longest exposure
-    distance_m : [row col] radial
-    valid : [row col]
-    o3m : the same as an O3M sends it, without frame axis, or None
-    phasors : [frequency row col] in the unit of the amplitude; None if the camera keeps them
-    """
-
-    amplitude: Array
-    distance_m: Array
-    valid: Mask
-    o3m: O3mImages | None = None
+    amplitude: Array  # [row col] 1: as many electrons as a tap holds, in the longest exposure
+    distance_m: Array  # [row col] radial
+    valid: Mask  # [row col]
+    o3m: O3mImages | None = None  # the same as an O3M sends it, without frame axis, or None
+    # [frequency row col] in the unit of the amplitude; None if the camera keeps them
     phasors: NDArray[np.complex128] | None = None
 
 

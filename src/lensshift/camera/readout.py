@@ -15,37 +15,25 @@ PHASES = 4  # of the correlation, a quarter turn apart
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rates:
-    """Electrons per second that the light gives a pixel, in both taps together.
+    """Electrons per second that the light gives a pixel, in both taps together."""
 
-    Parameters
-    ----------
-    active : [row col] modulated light
-    constant : [row col] sunlight and dark current
-    phasor : [frequency harmonic row col] modulated light x exp(i phase)
-    """
-
-    active: Array
-    constant: Array
-    phasor: NDArray[np.complex128]
+    active: Array  # [row col] modulated light
+    constant: Array  # [row col] sunlight and dark current
+    phasor: NDArray[np.complex128]  # [frequency harmonic row col] modulated light x exp(i phase)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """The raw data of one frame.
+    """The raw data of one frame."""
 
-    Parameters
-    ----------
-    difference : [frequency phase row col] tap A - tap B in counts: whole numbers, or electrons if
-        there is no converter
-    electrons_per_count : [row col]
-    exposure, gain : [row col] which of those of `Readout` the pixel used
-    saturated : [row col] a tap was full, or the converter at its end, in the shortest exposure
-    """
-
+    # [frequency phase row col] tap A - tap B in counts: whole numbers, or electrons if there is no
+    # converter
     difference: Array
-    electrons_per_count: Array
+    electrons_per_count: Array  # [row col]
+    # [row col] which of those of `Readout` the pixel used
     exposure: NDArray[np.uint8]
     gain: NDArray[np.uint8]
+    # [row col] a tap was full, or the converter at its end, in the shortest exposure
     saturated: Mask
 
 

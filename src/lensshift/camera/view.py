@@ -28,23 +28,16 @@ _POINTS_PER_SIDE = 8  # of squares, at least, of the lattices on which spots are
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpotBlur:
-    """Where the light of a point lands around its image, over the sensor.
+    """Where the light of a point lands around its image, over the sensor."""
 
-    Parameters
-    ----------
-    row_px, col_px : [node] rising places on the sensor; linear between them
-    per_px : points of a lattice along an LR pixel
-    start : [2 node node] first point of the image at each node, and that behind its last
-    place : [point 2] (row, col) points of the lattice from the image
-    weight : [point] sums to 1 over those of a node
-    """
-
+    # [node] rising places on the sensor; linear between them
     row_px: Array
     col_px: Array
-    per_px: int
+    per_px: int  # points of a lattice along an LR pixel
+    # [2 node node] first point of the image at each node, and that behind its last
     start: NDArray[np.int64]
-    place: NDArray[np.int64]
-    weight: Array
+    place: NDArray[np.int64]  # [point 2] (row, col) points of the lattice from the image
+    weight: Array  # [point] sums to 1 over those of a node
 
     @property
     def reach_px(self) -> float:
@@ -78,6 +71,8 @@ Motion = tuple[Array, float | SpotBlur]
 def motions(camera: TofCamera, offset_px: Array, side_px: float, *, scale: int = 1) -> list[Motion]:
     """Return what differs in each frame of `offset_px` [frame 2] from what the camera at rest sees.
 
+    ValueError if the lens is far out of focus, whose spots would take hours.
+
     Parameters
     ----------
     side_px : of the squares over which pixels average, in LR pixels: how finely they see spots
@@ -88,11 +83,6 @@ def motions(camera: TofCamera, offset_px: Array, side_px: float, *, scale: int =
     for each frame the offset in px [row col 2] of the pixels, or [1 1 2], at the centre of the
     sensor as asked for; and the blur: sigma in LR pixels of a Gaussian that is the same all over
     the sensor, or spots
-
-    Raises
-    ------
-    ValueError
-        If the lens is far out of focus, whose spots would take hours.
     """
     if isinstance(camera.optics, PlainOptics):
         sigma_px = camera.optics.blur_sigma_px

@@ -82,17 +82,14 @@ def make_cloud(
 ) -> PointCloud:
     """Return the points of an image of radial distances; those that are not above 0 have none.
 
+    ValueError if an image has another shape, or the intrinsics are those of another one.
+
     Parameters
     ----------
     distance_m, amplitude, std_m, flying : [row col]
     intrinsics : of this image
     keep_flying : whether pixels that mix two surfaces are kept
     normals : whether normals are computed, from neighbouring points that are kept
-
-    Raises
-    ------
-    ValueError
-        If an image has another shape, or the intrinsics are those of another one.
     """
     distance = np.asarray(distance_m, dtype=np.float64)
     place_m = points_m(distance, intrinsics)

@@ -29,10 +29,7 @@ _MAX_TEXT_BYTES = 1 << 26  # a table of a shift for every pixel has some 20 MB
 def read_text(path: str | Path) -> str:
     """Return a text in UTF-8; a pipe, which might never end, is refused.
 
-    Raises
-    ------
-    DataError
-        If there is no such file, or it is no text.
+    DataError if there is no such file, or it is no text.
     """
     path = Path(path)
     if path.exists() and not path.is_file():
@@ -146,20 +143,12 @@ def check_keys(table: Any, needed: Mapping[str, bool], where: str) -> None:
 def built(
     make: Callable[..., T],
     table: Mapping[str, Any],
-    where: str,
-    beside: Mapping[str, Any] | None = None,
+    where: str,  # name of the table in messages
+    beside: Mapping[str, Any] | None = None,  # arguments that do not come from a file
 ) -> T:
     """Call with the entries of a table, each of the type that is annotated.
 
-    Parameters
-    ----------
-    where : name of the table in messages
-    beside : arguments that do not come from a file
-
-    Raises
-    ------
-    DataError
-        If an entry is unknown, missing, of another type, or refused.
+    DataError if an entry is unknown, missing, of another type, or refused.
     """
     entries = fitted(make, table, where) | dict(beside or {})
     for name, parameter in _parameters(make).items():
@@ -201,17 +190,13 @@ def _parameters(make: Callable[..., Any]) -> dict[str, inspect.Parameter]:
 def fit(value: Any, kind: Any, where: str) -> Any:
     """Return a value as TOML or JSON has it as the type that an annotation asks for.
 
-    Integers become floats and lists become tuples; nothing else is converted.
+    Integers become floats and lists become tuples; nothing else is converted. DataError if it is of
+    another type.
 
     Parameters
     ----------
     kind : bool, int, float, str, Path, a literal, a tuple of any of them, or a union
     where : name of the value in messages
-
-    Raises
-    ------
-    DataError
-        If it is of another type.
     """
     kinds = get_args(kind)
     if get_origin(kind) in (Union, UnionType):

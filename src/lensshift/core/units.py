@@ -93,20 +93,13 @@ def doubt_about_focal_length(focal_length_px: float, width_px: int) -> str:
 class PhaseScale:
     """How phases stand for distances in one burst.
 
-        phi = 4 pi f (d - d_ref) / c
-
-    Parameters
-    ----------
-    modulation_hz : f
-    reference_m : d_ref, amid the scene: phases are small there, and the cut lies opposite
-    circular : whether distances come back after c / 2f, and lie within 0 .. c / 2f
-    source : where the frequency comes from
+    phi = 4 pi f (d - d_ref) / c
     """
 
-    modulation_hz: float
-    reference_m: float
-    circular: bool
-    source: str
+    modulation_hz: float  # f
+    reference_m: float  # d_ref, amid the scene: phases are small there, and the cut lies opposite
+    circular: bool  # whether distances come back after c / 2f, and lie within 0 .. c / 2f
+    source: str  # where the frequency comes from
 
     @property
     def rad_per_m(self) -> float:

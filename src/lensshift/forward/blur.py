@@ -82,22 +82,14 @@ class GaussianBlur(Blur):
 
         w_n ~ exp(-(n - m)^2 / (2 s^2)),   sum w_n n = v,   sum w_n (n - v)^2 = (scale sigma)^2
 
-    m and s are solved at every phase: a sampled Gaussian narrower than about 0.7 HR px is
-    narrower than its name says, and off centre. No kernel of mean v has a smaller variance than
-    linear interpolation, p (1 - p) with p = frac(v); where sigma asks for less, that is used.
-    Taps of less than about 2e-4 are left out, the moments hold without them.
-
-    Parameters
-    ----------
-    sigma_px : standard deviation in LR pixels; 0 gives linear interpolation
-
-    Raises
-    ------
-    ValueError
-        If `sigma_px` is negative or not finite.
+    m and s are solved at every phase: a sampled Gaussian narrower than about 0.7 HR px is narrower
+    than its name says, and off centre. No kernel of mean v has a smaller variance than linear
+    interpolation, p (1 - p) with p = frac(v); where sigma asks for less, that is used. Taps of less
+    than about 2e-4 are left out, the moments hold without them. ValueError if `sigma_px` is
+    negative or not finite.
     """
 
-    sigma_px: float = 0.3
+    sigma_px: float = 0.3  # standard deviation in LR pixels; 0 gives linear interpolation
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.sigma_px) and self.sigma_px >= 0):
@@ -120,21 +112,12 @@ class ApertureBlur(Blur):
 
     The box is fill_factor * scale HR pixels wide, the Gaussian has the width of the optics. The
     integral is exact; taps below 1e-5 are left out and the rest scaled to sum 1. HR pixels are not
-    evenly bright: off the HR grid a Gaussian of the same second moment errs less.
-
-    Parameters
-    ----------
-    fill_factor : light-sensitive width of the pixel / pixel pitch, in (0, 1]
-    optics_sigma_px : standard deviation of the optical spot in LR pixels
-
-    Raises
-    ------
-    ValueError
-        If a parameter is out of its range.
+    evenly bright: off the HR grid a Gaussian of the same second moment errs less. ValueError if a
+    parameter is out of its range.
     """
 
-    fill_factor: float = 1.0
-    optics_sigma_px: float = 0.0
+    fill_factor: float = 1.0  # light-sensitive width of the pixel / pixel pitch, in (0, 1]
+    optics_sigma_px: float = 0.0  # standard deviation of the optical spot in LR pixels
 
     def __post_init__(self) -> None:
         if not 0 < self.fill_factor <= 1:

@@ -28,16 +28,12 @@ def conjugate_gradient(
     iterations: int,
     tolerance: float = 1e-4,
     *,
-    residual: Array | None = None,
+    residual: Array | None = None,  # b - H x0 if it is known already; it is overwritten
 ) -> Array:
     """Solve H x = b for a Hermitian positive definite H, preconditioned by its diagonal.
 
     Stops when the preconditioned residual has shrunk to `tolerance` times that of x = 0. Real and
     complex, single and double precision.
-
-    Parameters
-    ----------
-    residual : b - H x0 if it is known already; it is overwritten
 
     Source: Hestenes and Stiefel 1952.
     """

@@ -29,51 +29,36 @@ MAX_SCALE = 8  # memory goes with its square
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taps:
-    """The HR pixels that LR pixels see along one axis, and with what weights.
+    """The HR pixels that LR pixels see along one axis, and with what weights."""
 
-    Parameters
-    ----------
-    position_hr_px : [frame pixel] or, for a shift field, [frame row col]; where they look
-    start : of the same shape, HR index of the first tap
-    weight : [... T], sums to 1
-    run : as from `regular_runs`; none for a shift field
-    """
-
+    # [frame pixel] or, for a shift field, [frame row col]; where they look
     position_hr_px: Positions
-    start: Starts
-    weight: Weights
-    run: Starts
+    start: Starts  # of the same shape, HR index of the first tap
+    weight: Weights  # [... T], sums to 1
+    run: Starts  # as from `regular_runs`; none for a shift field
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForwardModel:
-    """How one HR image becomes K LR frames; made by `forward_model`.
+    """How one HR image becomes K LR frames; made by `forward_model`."""
 
-    Parameters
-    ----------
-    lr_shape, hr_shape : (rows, cols) of a frame and of the HR image
-    scale : HR pixels per LR pixel
-    blur : the pixel response
-    rows, cols : the taps along row and along col
-    offset_px : [frame 2] if every frame has one shift, or None for a shift field
-    gain, bias : [frame]
-    inside : [frame row col] False where the centre of an LR pixel lies outside the HR image
-    spot_px2 : [frame row col 2] variance (row, col) of the optical spot beyond that of `blur`, or
-        None if all pixels have the same response
-    skew_px3 : [frame row col 2] third central moment (row, col) of that spot, or None if it is even
-    """
-
+    # (rows, cols) of a frame and of the HR image
     lr_shape: tuple[int, int]
     hr_shape: tuple[int, int]
-    scale: int
-    blur: Blur
+    scale: int  # HR pixels per LR pixel
+    blur: Blur  # the pixel response
+    # the taps along row and along col
     rows: Taps
     cols: Taps
-    offset_px: Floats | None
+    offset_px: Floats | None  # [frame 2] if every frame has one shift, or None for a shift field
+    # [frame]
     gain: Floats
     bias: Floats
-    inside: Mask
+    inside: Mask  # [frame row col] False where the centre of an LR pixel lies outside the HR image
+    # [frame row col 2] variance (row, col) of the optical spot beyond that of `blur`, or None if
+    # all pixels have the same response
     spot_px2: Floats | None = None
+    # [frame row col 2] third central moment (row, col) of that spot, or None if it is even
     skew_px3: Floats | None = None
 
     @property
@@ -161,6 +146,8 @@ def forward_model(
 ) -> ForwardModel:
     """Build the forward model of a burst, y_k = gain_k (D B M_k x) + bias_k.
 
+    ValueError if a shift is not finite, or spots are not those of a shift field.
+
     Parameters
     ----------
     lr_shape : (rows, cols) of a frame
@@ -173,11 +160,6 @@ def forward_model(
     skew_px3 : [frame row col 2], with `spot_px2`: third central moment (row, col) of that spot
     blur : the pixel response; by default a Gaussian of 0.3 px
     gain, bias : [frame], by default 1 and 0
-
-    Raises
-    ------
-    ValueError
-        If a shift is not finite, or spots are not those of a shift field.
     """
     blur = GaussianBlur(0.3) if blur is None else blur
     hr_shape = (lr_shape[0] * scale, lr_shape[1] * scale)

@@ -14,10 +14,7 @@ from lensshift.core.arrays import Array
 class LinearOperator:
     """y = A x between N-D arrays, with the exact adjoint beside it.
 
-    Raises
-    ------
-    ValueError
-        If it is called with an array of another shape than `in_shape`.
+    ValueError if it is called with an array of another shape than `in_shape`.
     """
 
     in_shape: tuple[int, ...]

@@ -15,29 +15,19 @@ from lensshift.forward.model import ForwardModel, forward_model
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FramePredictor:
-    """LR frames of one HR image; a call takes the number of a frame or an offset (row, col).
+    """LR frames of one HR image; a call takes the number of a frame or an offset (row, col)."""
 
-    Parameters
-    ----------
-    image : [row col] on the HR grid
-    scale : HR pixels per LR pixel
-    blur : the pixel response
-    offset_px : [frame 2] of every frame of the burst, used or held out
-    gain, bias : [frame]
-    shift_field_px : [frame row col 2] instead of `offset_px`, or None
-    spot_px2 : [frame row col 2] variance of the spot beyond that of `blur`, or None
-    skew_px3 : [frame row col 2] third central moment of that spot, or None
-    """
-
-    image: Array
-    scale: int
-    blur: Blur
-    offset_px: Floats
+    image: Array  # [row col] on the HR grid
+    scale: int  # HR pixels per LR pixel
+    blur: Blur  # the pixel response
+    offset_px: Floats  # [frame 2] of every frame of the burst, used or held out
+    # [frame]
     gain: Floats
     bias: Floats
-    shift_field_px: Floats | None = None
+    shift_field_px: Floats | None = None  # [frame row col 2] instead of `offset_px`, or None
+    # [frame row col 2] variance of the spot beyond that of `blur`, or None
     spot_px2: Floats | None = None
-    skew_px3: Floats | None = None
+    skew_px3: Floats | None = None  # [frame row col 2] third central moment of that spot, or None
 
     @property
     def lr_shape(self) -> tuple[int, int]:
@@ -79,17 +69,11 @@ class FramePredictor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhasorPredictor:
-    """One channel of frames of phasors.
+    """One channel of frames of phasors."""
 
-    Parameters
-    ----------
-    phasor : of an HR image of phasors
-    distance : how phases stand for distances, or None for the amplitude
-    turns_m : of an HR image of distances beyond c / 2f, which says how often a phase has turned
-    """
-
-    phasor: FramePredictor
-    distance: PhaseScale | None = None
+    phasor: FramePredictor  # of an HR image of phasors
+    distance: PhaseScale | None = None  # how phases stand for distances, or None for the amplitude
+    # of an HR image of distances beyond c / 2f, which says how often a phase has turned
     turns_m: FramePredictor | None = None
 
     def __call__(self, frame: int | ArrayLike) -> Array:

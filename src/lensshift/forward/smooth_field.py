@@ -23,18 +23,13 @@ _MOST_SPARE = 3  # taps that a pixel may lack at either side of a row: more cost
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothField:
-    """The taps of a field, tap by tap.
+    """The taps of a field, tap by tap."""
 
-    Parameters
-    ----------
-    first : [frame row 4] HR row of the first tap, HR column less the stride times the column, and
-        how many taps there are along row and col
-    run : [frame row 2] columns from and to which the row is regular
-    row_weight, col_weight : [frame row tap col]
-    """
-
+    # [frame row 4] HR row of the first tap, HR column less the stride times the column, and how
+    # many taps there are along row and col
     first: Starts
-    run: Starts
+    run: Starts  # [frame row 2] columns from and to which the row is regular
+    # [frame row tap col]
     row_weight: Array
     col_weight: Array
 

@@ -23,6 +23,8 @@ def frame_positions(
 
         v = scale (u - offset) + (scale - 1) / 2
 
+    ValueError if `offset_px` is not [frame 2] or not finite.
+
     Parameters
     ----------
     lr_shape : (rows, cols) of a frame
@@ -32,11 +34,6 @@ def frame_positions(
     Returns
     -------
     row_hr_px, col_hr_px : [frame row] and [frame col]
-
-    Raises
-    ------
-    ValueError
-        If `offset_px` is not [frame 2] or not finite.
     """
     offset = np.asarray(offset_px, dtype=np.float64)
     if offset.ndim != 2 or offset.shape[1] != 2:

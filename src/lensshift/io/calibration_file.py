@@ -48,10 +48,7 @@ def calibration_content(calibration: Calibration) -> dict[str, Any]:
 def load_calibration(path: str | Path) -> Calibration:
     """Read a calibration.
 
-    Raises
-    ------
-    DataError
-        If the file is missing, is no calibration, or a field is missing or wrong.
+    DataError if the file is missing, is no calibration, or a field is missing or wrong.
     """
     content = parse_json(read_text(path), path)
     if content.get("schema") != SCHEMA:

@@ -49,6 +49,8 @@ def calibrate_rig(
 ) -> RigCalibration:
     """Calibrate a rig from a scan, and write the page if asked for.
 
+    ValueError, DataError as in `fit_scan`; if the page cannot be written.
+
     Parameters
     ----------
     burst : the scan, see `fit_scan`
@@ -56,11 +58,6 @@ def calibrate_rig(
     psf : whether the width of the blur is measured, at straight edges if there are any
     noise : of a pixel as a share of full scale, for what the rest costs
     report : HTML file for the page, or None
-
-    Raises
-    ------
-    ValueError, DataError
-        As in `fit_scan`; if the page cannot be written.
 
     Warns
     -----

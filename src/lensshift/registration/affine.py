@@ -27,22 +27,13 @@ CHANCE = 0.01
 
 
 class AffineFit(NamedTuple):
-    """Shift of pixel u of each frame, offset + affine (u - middle).
+    """Shift of pixel u of each frame, offset + affine (u - middle)."""
 
-    Parameters
-    ----------
-    offset_px : [frame 2] in the middle of the sensor, relative to the reference
-    affine : [frame 2 2] of (row, col) by (row, col)
-    sigma_px : [frame 2] standard error of the offset that noise makes
-    noise : of a pixel, as these shifts leave it
-    settled : whether the search did
-    """
-
-    offset_px: Shifts
-    affine: Floats
-    sigma_px: Shifts
-    noise: float
-    settled: bool
+    offset_px: Shifts  # [frame 2] in the middle of the sensor, relative to the reference
+    affine: Floats  # [frame 2 2] of (row, col) by (row, col)
+    sigma_px: Shifts  # [frame 2] standard error of the offset that noise makes
+    noise: float  # of a pixel, as these shifts leave it
+    settled: bool  # whether the search did
 
     def said(self, shape: tuple[int, ...]) -> str:
         """Return in words by how much the frames turn and grow, and what that is in a corner."""

@@ -46,16 +46,10 @@ def blocks_of(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatter:
-    """What parts of the sensor, each on its own, say of the errors of the whole.
+    """What parts of the sensor, each on its own, say of the errors of the whole."""
 
-    Parameters
-    ----------
-    factor : how much more the parts scatter than their errors say, 1 or more
-    covariance_px2 : [2 frame, 2 frame] of the shifts of the whole, by that scatter alone
-    """
-
-    factor: float
-    covariance_px2: Floats
+    factor: float  # how much more the parts scatter than their errors say, 1 or more
+    covariance_px2: Floats  # [2 frame, 2 frame] of the shifts of the whole, by that scatter alone
 
     def widened(self, covariance_px2: Floats) -> Floats:
         """Return a covariance with that part of the scatter which the errors do not explain."""

@@ -28,18 +28,12 @@ class Curvature:
     With J the information that the frames bear out and H the curvature with the taper in tow, the
     score vanishes at a shift of covariance H^-1 J H^-T, which is J^-1 where H = J.
 
-    Parameters
-    ----------
-    fisher : the Fisher information
-    fixed : J, the taper stays
-    moved : H, it follows
-
     Source: Huber (1967) for the covariance of such estimates.
     """
 
-    fisher: Square
-    fixed: Square
-    moved: Square
+    fisher: Square  # the Fisher information
+    fixed: Square  # J, the taper stays
+    moved: Square  # H, it follows
 
     @property
     def least_share(self) -> float:

@@ -20,16 +20,10 @@ _NUMBERS_AT_ONCE = 50_000  # of the spline in some frames, so that they stay in 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceImage:
-    """A cubic spline that all frames sample, and what each frame should look like.
+    """A cubic spline that all frames sample, and what each frame should look like."""
 
-    Parameters
-    ----------
-    seen : [frame row col] what the spline predicts of each frame
-    slope : [axis frame row col] its derivative by the place in the scene, per pixel
-    """
-
-    seen: Floats
-    slope: Floats
+    seen: Floats  # [frame row col] what the spline predicts of each frame
+    slope: Floats  # [axis frame row col] its derivative by the place in the scene, per pixel
 
 
 def reference_image(
@@ -61,20 +55,15 @@ def reference_image(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Group:
-    """Frames that sample the spline at once: matrices of all, since each alone is little work.
+    """Frames that sample the spline at once: matrices of all, since each alone is little work."""
 
-    Parameters
-    ----------
-    part : which frames
-    shape, knots : of a frame and of the spline
-    rows : [frame row, knot row] splines of all frames, one below the other, and their derivatives
-    cols : [frame col, frame knot col] a block for each frame, and their derivatives
-    """
-
-    part: slice
+    part: slice  # which frames
+    # of a frame and of the spline
     shape: tuple[int, int]
     knots: tuple[int, int]
+    # [frame row, knot row] splines of all frames, one below the other, and their derivatives
     rows: tuple[Any, Any]
+    # [frame col, frame knot col] a block for each frame, and their derivatives
     cols: tuple[Any, Any]
 
     def seen(self, knots: Floats, down: int = 0, right: int = 0) -> Floats:

@@ -25,23 +25,15 @@ _NUMBERS_AT_ONCE = 200_000  # a few MB at a time, which stay in the cache
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frequencies:
-    """The frequencies of a transform without f = 0, and the aliases that fall on each.
+    """The frequencies of a transform without f = 0, and the aliases that fall on each."""
 
-    Parameters
-    ----------
-    shape : (rows, cols) of a frame
-    down, right : [frequency alias] in cycles per pixel
-    weight : [frequency] 1, or 1/2 where a real image counts a frequency twice
-    whole_plane : whether the frames are complex
-    reach : the largest alias along an axis
-    """
-
-    shape: tuple[int, int]
+    shape: tuple[int, int]  # (rows, cols) of a frame
+    # [frequency alias] in cycles per pixel
     down: Floats
     right: Floats
-    weight: Floats
-    whole_plane: bool
-    reach: int
+    weight: Floats  # [frequency] 1, or 1/2 where a real image counts a frequency twice
+    whole_plane: bool  # whether the frames are complex
+    reach: int  # the largest alias along an axis
 
     @classmethod
     def of(cls, shape: tuple[int, ...], *, whole_plane: bool) -> Frequencies:
@@ -116,17 +108,11 @@ class Steering:
 
     The first factor is that of all aliases of a frequency, the second that of all frequencies:
     where spectra are turned back by the first, covariances are sums of the same few matrices.
-
-    Parameters
-    ----------
-    back : [frequency frame] exp(2 pi i f . d)
-    alias : [alias frame] b_m
-    pairs : [alias frame * frame] b_m b_m^H
     """
 
-    back: Array
-    alias: Array
-    pairs: Array
+    back: Array  # [frequency frame] exp(2 pi i f . d)
+    alias: Array  # [alias frame] b_m
+    pairs: Array  # [alias frame * frame] b_m b_m^H
 
     def summed(self, power: Floats) -> Array:
         """Return sum over m of P b b^H [... f frame frame] for P [... f alias]."""
@@ -143,19 +129,14 @@ class Spectrum:
 
     sigma is that of a full pixel while the frames tell one alias from none; more of them see a
     smaller pixel themselves.
-
-    Parameters
-    ----------
-    frequencies : where
-    log_level, exponent, log_noise : of the power law and of the noise
-    freedom : [frequency alias] factor that the frames have shown, 1 at first
     """
 
-    frequencies: Frequencies
+    frequencies: Frequencies  # where
+    # of the power law and of the noise
     log_level: float
     exponent: float
     log_noise: float
-    freedom: Floats
+    freedom: Floats  # [frequency alias] factor that the frames have shown, 1 at first
 
     @property
     def noise_power(self) -> float:

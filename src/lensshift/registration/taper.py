@@ -26,22 +26,13 @@ LEAST_COMMON_PX = 4.0  # less has no spectrum
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tapered:
-    """Spectra of tapered frames.
+    """Spectra of tapered frames."""
 
-    Parameters
-    ----------
-    spectra : [frequency frame] scaled so that white noise keeps its variance; without f = 0
-    window : [frame row col]
-    scale : [frame] root of the energy of the windows
-    expected : [frame row col] what the model expects of the tapered frames, or None
-    inflation : by how much the taper and invalid pixels widen a variance
-    """
-
-    spectra: Array
-    window: Floats
-    scale: Floats
-    expected: Array | None
-    inflation: float
+    spectra: Array  # [frequency frame] scaled so that white noise keeps its variance; without f = 0
+    window: Floats  # [frame row col]
+    scale: Floats  # [frame] root of the energy of the windows
+    expected: Array | None  # [frame row col] what the model expects of the tapered frames, or None
+    inflation: float  # by how much the taper and invalid pixels widen a variance
 
     def with_expected(self, spectrum: Spectrum, steering: Steering) -> Tapered:
         """Return it with what the model expects of the frames, to fill invalid pixels with."""
@@ -69,7 +60,8 @@ def taper_frames(
         w_k(u) = w(u - offset_k),   w: cosine flanks, zero outside what every frame sees
 
     The window moves with the content, so that a tapered frame is still a shifted copy of one
-    tapered scene.
+    tapered scene. ValueError if the frames have less than 4 pixels of the scene in common along an
+    axis.
 
     Parameters
     ----------
@@ -77,11 +69,6 @@ def taper_frames(
     own_mean : whether each frame has its own mean taken off, or all the same
     expected : [frame row col] tapered values for invalid pixels; by default 0, the mean
     flank_px : over which the window rises at each end, at most a quarter of the common length
-
-    Raises
-    ------
-    ValueError
-        If the frames have less than 4 pixels of the scene in common along an axis.
     """
     rows, cols = frames.shape[1:]
     window = (

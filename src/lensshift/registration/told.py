@@ -25,18 +25,11 @@ _LEAST_PX2 = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
-    """Where the frames of a burst lie, beside where they were told to.
+    """Where the frames of a burst lie, beside where they were told to."""
 
-    Parameters
-    ----------
-    offset_px : [frame 2], with the mean that was told
-    sigma_px : [frame 2] its standard deviation about that mean
-    error_px : standard deviation that the told offsets seem to have
-    """
-
-    offset_px: Shifts
-    sigma_px: Shifts
-    error_px: float
+    offset_px: Shifts  # [frame 2], with the mean that was told
+    sigma_px: Shifts  # [frame 2] its standard deviation about that mean
+    error_px: float  # standard deviation that the told offsets seem to have
 
 
 def corrected_shifts(frames: Array, valid: Mask, told_px: Shifts) -> Correction | None:

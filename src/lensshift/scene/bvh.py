@@ -22,17 +22,13 @@ _EDGE = 1e-12  # of an edge: rays through the edge of two triangles meet at leas
 
 
 class Tree(NamedTuple):
-    """Triangles in the order of the leaves, and the boxes around them.
+    """Triangles in the order of the leaves, and the boxes around them."""
 
-    Parameters
-    ----------
-    corner, edge_1, edge_2 : [triangle 3] a corner, and the edges from it to the others
-    low, high : [node 3] corners of the boxes
-    """
-
+    # [triangle 3] a corner, and the edges from it to the others
     corner: Array
     edge_1: Array
     edge_2: Array
+    # [node 3] corners of the boxes
     low: Array
     high: Array
 
@@ -40,13 +36,8 @@ class Tree(NamedTuple):
 def build_tree(corners: Array) -> Tree:
     """Return the tree of triangles given by their [triangle corner 3].
 
-    Triangles whose corners lie on a line are left out: rounding alone would say where a ray
-    meets them.
-
-    Raises
-    ------
-    ValueError
-        If no triangle has an area.
+    Triangles whose corners lie on a line are left out: rounding alone would say where a ray meets
+    them. ValueError if no triangle has an area.
     """
     edge_1, edge_2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     lengths = np.linalg.norm(edge_1, axis=1) * np.linalg.norm(edge_2, axis=1)

@@ -23,21 +23,14 @@ Vector = tuple[float, float, float]
 
 @dataclass(slots=True)
 class Rays:
-    """Rays and the nearest thing that they have met so far; shapes change it in place.
+    """Rays and the nearest thing that they have met so far; shapes change it in place."""
 
-    Parameters
-    ----------
-    origin_m, direction : [ray 3], directions of length 1
-    distance_m : [ray] to what was met, at first how far to look
-    shape : [ray] index of the shape that was met, -1 for none
-    part : [ray] which face of it
-    """
-
+    # [ray 3], directions of length 1
     origin_m: Array
     direction: Array
-    distance_m: Array
-    shape: Array
-    part: Array
+    distance_m: Array  # [ray] to what was met, at first how far to look
+    shape: Array  # [ray] index of the shape that was met, -1 for none
+    part: Array  # [ray] which face of it
 
     @classmethod
     def launch(cls, origin_m: Array, direction: Array, limit_m: ArrayLike = np.inf) -> Rays:
