@@ -6,7 +6,6 @@ those of the image at offset (0, 0), with the lens at rest.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import astuple, dataclass, replace
 from typing import Any
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats, frozen
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.grid import Grid, hr_to_lr, lr_to_hr
 from lensshift.core.units import doubt_about_focal_length
 
@@ -72,7 +71,7 @@ class Pinhole:
             If the field of view can hardly be that of a lens.
         """
         if fx_px > 0 and (doubt := doubt_about_focal_length(fx_px, grid.shape[1])):
-            warnings.warn(doubt, QualityWarning, stacklevel=2)
+            warn_quality(doubt)
         rows, cols = grid.shape
         if fy_px is None:
             fy_px = fx_px * grid.pitch_mm[1] / grid.pitch_mm[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
@@ -11,21 +10,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core import burst_checks as checks
 from lensshift.core.arrays import frozen
-from lensshift.core.burst_checks import (
-    all_valid,
-    as_array,
-    as_frames,
-    as_frequencies,
-    as_numbers,
-    as_pairs,
-    as_phasors,
-    as_valid,
-    check_finite_where_valid,
-    doubts_about_distances,
-    unmasked,
-)
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.frame import Frame as Frame
 from lensshift.core.grid import Grid as Grid
 from lensshift.core.intrinsics import Intrinsics
@@ -95,7 +82,7 @@ class Burst(Shown, AsDataset, AsTable):
     offset_px: NDArray[np.float64]
     grid: Grid
     distance_m: NDArray[Any] | None = None
-    valid: NDArray[np.bool_] = field(default_factory=all_valid)
+    valid: NDArray[np.bool_] = field(default_factory=checks.all_valid)
     offset_sigma_px: NDArray[np.float64] | None = None
     offset_source: OffsetSource = "planned"
     affine: NDArray[np.float64] | None = None
@@ -109,33 +96,33 @@ class Burst(Shown, AsDataset, AsTable):
     meta: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        frames = as_frames(self.amplitude, "amplitude")
+        frames = checks.as_frames(self.amplitude, "amplitude")
         count = frames.shape[0]
         if frames.shape[1:] != self.grid.shape:
             raise DataError(
                 f"expected frames of the grid's shape {self.grid.shape}, got {frames.shape[1:]}",
                 field="amplitude",
             )
-        valid = as_valid(self.valid, frames)
-        check_finite_where_valid(frames, valid, "amplitude")
+        valid = checks.as_valid(self.valid, frames)
+        checks.check_finite_where_valid(frames, valid, "amplitude")
         settle: dict[str, Any] = {"amplitude": frames, "valid": valid}
         if self.distance_m is not None:
-            distance_m = as_frames(self.distance_m, "distance_m", shape=frames.shape)
-            check_finite_where_valid(distance_m, valid, "distance_m")
+            distance_m = checks.as_frames(self.distance_m, "distance_m", shape=frames.shape)
+            checks.check_finite_where_valid(distance_m, valid, "distance_m")
             settle["distance_m"] = distance_m
         for name in ("offset_px", "offset_sigma_px", "stage_mm", "stage_commanded_mm"):
             if name == "offset_px" or getattr(self, name) is not None:
-                settle[name] = as_pairs(getattr(self, name), count, name)
+                settle[name] = checks.as_pairs(getattr(self, name), count, name)
         if self.affine is not None:
-            settle["affine"] = as_numbers(self.affine, (count, 2, 2), "affine")
+            settle["affine"] = checks.as_numbers(self.affine, (count, 2, 2), "affine")
         if self.time_s is not None:
-            settle["time_s"] = as_numbers(self.time_s, (count,), "time_s")
+            settle["time_s"] = checks.as_numbers(self.time_s, (count,), "time_s")
         if self.offset_source not in OFFSET_SOURCES:
             problem = f"expected one of {', '.join(OFFSET_SOURCES)}, got {self.offset_source!r}"
             raise DataError(problem, field="offset_source")
-        settle["modulation_hz"] = as_frequencies(self.modulation_hz)
+        settle["modulation_hz"] = checks.as_frequencies(self.modulation_hz)
         if self.phasors is not None:
-            settle["phasors"] = as_phasors(self.phasors, settle["modulation_hz"], valid)
+            settle["phasors"] = checks.as_phasors(self.phasors, settle["modulation_hz"], valid)
         if self.intrinsics is not None:
             self.intrinsics.check_fits(self.grid.shape)
         for name, values in self.raw.items():
@@ -183,13 +170,13 @@ class Burst(Shown, AsDataset, AsTable):
         QualityWarning
             If pitch, frequency or distances can hardly be in mm, Hz and m, or stand for none.
         """
-        valid = unmasked(amplitude, distance_m) if valid is None else valid
-        given = as_array(amplitude, "amplitude")
-        frequencies = as_frequencies(modulation_hz)
+        valid = checks.unmasked(amplitude, distance_m) if valid is None else valid
+        given = checks.as_array(amplitude, "amplitude")
+        frequencies = checks.as_frequencies(modulation_hz)
         if given.ndim == 4 and given.dtype.kind == "c":
-            fields["phasors"] = as_phasors(given, frequencies)
+            fields["phasors"] = checks.as_phasors(given, frequencies)
             given = np.abs(given[int(np.argmax(np.asarray(frequencies, np.float64)))])
-        frames = as_frames(given, "amplitude")
+        frames = checks.as_frames(given, "amplitude")
         pitch = np.ravel(np.asarray(pitch_mm, dtype=np.float64))
         if pitch.size not in (1, 2):
             raise DataError(f"expected one or two numbers, got {pitch_mm}", field="pitch_mm")
@@ -205,13 +192,15 @@ class Burst(Shown, AsDataset, AsTable):
             offset_px=np.zeros((len(frames), 2)) if offset_px is None else np.asarray(offset_px),
             grid=grid,
             distance_m=None if distance_m is None else np.asarray(distance_m),
-            valid=all_valid() if valid is None else np.asarray(valid),
+            valid=checks.all_valid() if valid is None else np.asarray(valid),
             modulation_hz=frequencies,
             **fields,
         )
-        doubts = doubts_about_distances(frames, burst.distance_m, burst.valid, burst.frequencies_hz)
+        doubts = checks.doubts_about_distances(
+            frames, burst.distance_m, burst.valid, burst.frequencies_hz
+        )
         for doubt in filter(None, [doubt_about_pitch(max(grid.pitch_mm)), *doubts]):
-            warnings.warn(doubt, QualityWarning, stacklevel=2)
+            warn_quality(doubt)
         return burst
 
     @property

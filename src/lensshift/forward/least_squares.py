@@ -8,16 +8,10 @@ from typing import Any
 import numpy as np
 
 from lensshift.core.arrays import Array
-from lensshift.forward.differences import (
-    Directions,
-    add_laplacian_diagonal,
-    add_weighted_laplacian,
-    half_plane,
-    laplacian,
-)
+from lensshift.forward import differences
 from lensshift.forward.operator import LinearOperator
 
-NEIGHBOURS = half_plane(1)
+NEIGHBOURS = differences.half_plane(1)
 
 
 def conjugate_gradient(
@@ -77,7 +71,7 @@ def solve_penalised(
     x0: Array,
     iterations: int,
     *,
-    directions: Directions = NEIGHBOURS,
+    directions: differences.Directions = NEIGHBOURS,
     column_square: float | None = None,
     tolerance: float = 1e-4,
     residual: Array | None = None,
@@ -101,19 +95,19 @@ def solve_penalised(
         seen = A.forward(x)
         seen *= weight
         out = A.adjoint(seen)
-        add_weighted_laplacian(x, coefficients, directions, out)
+        differences.add_weighted_laplacian(x, coefficients, directions, out)
         return out
 
     # Each HR pixel is seen with about the same kernel, so its share of A^T A goes with A^T w.
     diagonal = np.maximum(A.adjoint(weight), 0)  # skewed responses have taps below 0
     diagonal *= square * diagonal.size / weight.size
     diagonal += 1e-9 if diagonal.dtype == np.float64 else 1e-6  # where no LR pixel looks
-    add_laplacian_diagonal(coefficients, directions, diagonal)
+    differences.add_laplacian_diagonal(coefficients, directions, diagonal)
     b = A.adjoint(weight * y)
     rest = None
     if residual is not None:
         rest = np.zeros_like(b)
-        add_weighted_laplacian(x0, coefficients, directions, rest)
+        differences.add_weighted_laplacian(x0, coefficients, directions, rest)
         rest = A.adjoint(weight * residual) - rest
     return conjugate_gradient(apply, b, x0, 1.0 / diagonal, iterations, tolerance, residual=rest)
 
@@ -136,7 +130,7 @@ def smooth_fit(
     square = weight.dtype.type(stiffness / len(NEIGHBOURS) ** 2)
 
     def apply(x: Array) -> Array:
-        rough = laplacian(laplacian(x))
+        rough = differences.laplacian(differences.laplacian(x))
         rough *= square
         rough += A.adjoint(weight * A.forward(x))
         return rough

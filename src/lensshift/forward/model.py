@@ -11,16 +11,9 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.grid import hr_to_lr
+from lensshift.forward import sampling
 from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image, varying_taps
 from lensshift.forward.operator import LinearOperator, by_parts
-from lensshift.forward.sampling import (
-    adjoint_field,
-    adjoint_separable,
-    forward_field,
-    forward_separable,
-    in_bands,
-    regular_runs,
-)
 from lensshift.forward.smooth_field import adjoint_smooth, forward_smooth, smooth_field
 from lensshift.forward.warp import Positions, field_positions, frame_positions
 
@@ -229,7 +222,7 @@ def _taps_of_shifts(
 ) -> Taps:
     at = np.frombuffer(at_bytes, np.float64).reshape(shape)
     start, weight = blur.taps(at, scale, size)
-    return _read_only(Taps(at, start, weight, regular_runs(start, weight, scale)))
+    return _read_only(Taps(at, start, weight, sampling.regular_runs(start, weight, scale)))
 
 
 def _read_only(taps: Taps) -> Taps:
@@ -280,11 +273,14 @@ def _kernels(
 ) -> tuple[Any, Any, tuple[Starts, ...], tuple[Array, ...]]:
     """Return kernel, adjoint, and what they take besides the taps: places, and further weights."""
     if rows.start.ndim < 3:
-        take, spread = (partial(in_bands, k) for k in (forward_separable, adjoint_separable))
+        take, spread = (
+            partial(sampling.in_bands, k)
+            for k in (sampling.forward_separable, sampling.adjoint_separable)
+        )
         return take, spread, (cols.run,), ()
     smooth = smooth_field(rows.start, row_weight, cols.start, cols.weight, stride)
     if smooth is None:
-        return forward_field, adjoint_field, (), ()
+        return sampling.forward_field, sampling.adjoint_field, (), ()
     by_tap = (smooth.row_weight, smooth.col_weight)
     return forward_smooth, adjoint_smooth, (smooth.first, smooth.run), by_tap
 

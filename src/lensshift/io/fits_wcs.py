@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from lensshift.core.errors import QualityWarning, of_extra
+from lensshift.core.errors import of_extra, warn_quality
 from lensshift.core.grid import lr_to_hr
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.io.reading import check_unpacked
@@ -84,7 +84,7 @@ def wcs_cards(path: Path) -> dict[str, Any]:
             return dict(WCS(header, naxis=2).to_header(relax=True)) if told else {}
         except (ValueError, LookupError, TypeError, fits.VerifyError) as error:
             problem = f"its world coordinates are left out: {error!s:.100}"
-    warnings.warn(f"{path}: {problem}", QualityWarning, stacklevel=2)
+    warn_quality(f"{path}: {problem}")
     return {}
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, warn_quality
 from lensshift.io.container_reader import OTHERS, is_hdf5
 from lensshift.io.fits_wcs import astropy_fits, images_of, opened_fits, quiet_astropy
 from lensshift.io.reading import (
@@ -75,7 +75,7 @@ def load_frames(path: str | Path, *, colours: bool = False) -> NDArray[Any]:
         lossy = (
             "levels of a JPEG are rounded in blocks and rarely light; take PNG or TIFF if you can"
         )
-        warnings.warn(lossy, QualityWarning, stacklevel=2)
+        warn_quality(lossy)
     with reading(path):
         if suffix in loaders:
             return loaders[suffix](path)
@@ -108,7 +108,7 @@ def load_named_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
         said = f"{left}: Python objects are not read; save arrays of numbers, text as JSON"
         if not arrays:
             raise DataError(said, source=path)
-        warnings.warn(f"{path}: {said}", QualityWarning, stacklevel=2)
+        warn_quality(f"{path}: {said}")
     return arrays
 
 

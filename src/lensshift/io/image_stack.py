@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,18 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.burst_checks import cure_of_axes
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.settings import parse_json
 from lensshift.core.types import Burst, OffsetSource
+from lensshift.io import image_file
 from lensshift.io.fits_wcs import wcs_cards
-from lensshift.io.image_file import (
-    FITS_SUFFIXES,
-    IMAGE_SUFFIXES,
-    image_suffix,
-    load_frames,
-    load_named_arrays,
-    pixel_size_mm,
-)
 from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.reading import reading
@@ -106,7 +98,7 @@ def load_stack_fields(
         if path.suffix.lower() == ".npz":
             return _npz_fields(path, key, frame_axis)
         if not path.is_dir():
-            frames = load_frames(path, colours=frame_axis == -1)
+            frames = image_file.load_frames(path, colours=frame_axis == -1)
             return _plain_fields(_stack(frames, frame_axis, path), path)
         source = _images_in(path)
     paths = [Path(path) for path in source]
@@ -119,8 +111,8 @@ def _plain_fields(frames: NDArray[Any], first: Path) -> dict[str, Any]:
     fields: dict[str, Any] = {"amplitude": frames}
     if frames.ndim == 3 and not np.isfinite(frames).all():
         fields["valid"] = np.isfinite(frames)
-    pitch_mm = pixel_size_mm(first)
-    if image_suffix(first) in FITS_SUFFIXES and (cards := wcs_cards(first)):
+    pitch_mm = image_file.pixel_size_mm(first)
+    if image_file.image_suffix(first) in image_file.FITS_SUFFIXES and (cards := wcs_cards(first)):
         fields["meta"] = {"wcs": cards}
     return fields if pitch_mm is None else fields | {"pitch_mm": pitch_mm}
 
@@ -130,13 +122,14 @@ def _images_in(folder: Path) -> list[Path]:
         images = [
             path
             for path in folder.iterdir()
-            if image_suffix(path) in IMAGE_SUFFIXES and not path.name.startswith(".")
+            if image_file.image_suffix(path) in image_file.IMAGE_SUFFIXES
+            and not path.name.startswith(".")
         ]
-        kinds = sorted({image_suffix(path) for path in images})
+        kinds = sorted({image_file.image_suffix(path) for path in images})
         if len(kinds) > 1:
             raise DataError(f"the folder holds {' and '.join(kinds)} files; name those to use")
         if not images:
-            raise DataError(f"the folder holds no image ({', '.join(IMAGE_SUFFIXES)})")
+            raise DataError(f"the folder holds no image ({', '.join(image_file.IMAGE_SUFFIXES)})")
     return sorted(images, key=_natural_key)
 
 
@@ -151,7 +144,7 @@ def _concatenate(paths: list[Path]) -> NDArray[Any]:
         raise DataError("expected at least one image file, got none")
     stacks: list[NDArray[Any]] = []
     for path in paths:
-        frames = load_frames(path)
+        frames = image_file.load_frames(path)
         frames = frames[np.newaxis] if frames.ndim == 2 else frames
         expected = stacks[0] if stacks else frames
         if frames.ndim != 3 or frames.shape[1:] != expected.shape[1:]:
@@ -228,7 +221,7 @@ def _usable(frames: NDArray[Any], path: Path, field: str = "") -> NDArray[Any]:
 
 
 def _npz_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[str, Any]:
-    arrays = load_named_arrays(path)
+    arrays = image_file.load_named_arrays(path)
     name = _frames_name(path, arrays, key)
     if frame_axis is None and "offset_px" in arrays:
         frame_axis = 0
@@ -254,11 +247,10 @@ def _warn_of_unread(path: Path, arrays: dict[str, NDArray[Any]], name: str) -> N
     read = {name, *_STACKS, "flying"}  # that of the truth of a simulation
     unread = [one for one in arrays if one not in read and arrays[one].shape == arrays[name].shape]
     if unread:
-        warnings.warn(
+        warn_quality(
             f"{path}: nothing is done with {', '.join(unread)}; distances are read from "
             "distance_m, in metres, and which pixels count from valid",
-            QualityWarning,
-            stacklevel=4,
+            4,
         )
 
 

@@ -10,15 +10,8 @@ import numpy as np
 from lensshift.core.errors import about
 from lensshift.core.grid import Grid
 from lensshift.core.lens_field import LensField
+from lensshift.io import container_writer as writer
 from lensshift.io.container_reader import open_container
-from lensshift.io.container_writer import (
-    Content,
-    Variable,
-    measured,
-    sealed_text,
-    to_json,
-    write_container,
-)
 
 SCHEMA = "lensshift-lens-field/1"
 _NUMBERS = ("shift_error_px", "spot_error_px", "contrast_error")
@@ -37,23 +30,25 @@ def save_lens_field(field: LensField, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    variables: dict[str, Variable] = {}
+    variables: dict[str, writer.Variable] = {}
     for name, (own, units, meaning) in _COEFFICIENTS.items():
         if getattr(field, own) is None:
             continue
         dims = *(f"{name}_{axis}" for axis in ("row", "col", "state_row", "state_col")), "axis"
-        variables[name] = measured(dims, getattr(field, own), units, meaning)
+        variables[name] = writer.measured(dims, getattr(field, own), units, meaning)
     attributes = {
         "shape": np.asarray(field.grid.shape, dtype=np.int64),
         "pitch_mm": np.asarray(field.grid.pitch_mm, dtype=np.float64),
         "reach": np.asarray(field.reach, dtype=np.float64),
-        "motion": sealed_text(field.motion),
+        "motion": writer.sealed_text(field.motion),
         "element": None if field.element is None else np.int64(field.element + 1),
-        "lens": sealed_text(to_json({"name": field.lens}, "lens")),
-        "notes": sealed_text(to_json(field.notes or {}, "notes")),
+        "lens": writer.sealed_text(writer.to_json({"name": field.lens}, "lens")),
+        "notes": writer.sealed_text(writer.to_json(field.notes or {}, "notes")),
         **{name: np.float64(getattr(field, name)) for name in _NUMBERS},
     }
-    write_container(Content(SCHEMA, variables["shift"].dims, variables, attributes), path)
+    writer.write_container(
+        writer.Content(SCHEMA, variables["shift"].dims, variables, attributes), path
+    )
 
 
 def load_lens_field(path: str | Path) -> LensField:

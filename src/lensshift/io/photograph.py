@@ -11,17 +11,10 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
 from lensshift.core.settings import read_text
-from lensshift.io.image_file import (
-    JPEG_SUFFIXES,
-    TIFF_SUFFIXES,
-    TIFFFILE_COMPRESSIONS,
-    load_frames,
-    opened_by_pillow,
-    strict_tifffile,
-)
+from lensshift.io import image_file
 from lensshift.io.reading import check_unpacked, reading, require_file
 
-PHOTOGRAPH_SUFFIXES = (*JPEG_SUFFIXES, ".png", *TIFF_SUFFIXES)
+PHOTOGRAPH_SUFFIXES = (*image_file.JPEG_SUFFIXES, ".png", *image_file.TIFF_SUFFIXES)
 _COLOURS = 3  # red, green, blue
 _COLOUR_MODES = ("RGB", "RGBA", "P")  # of Pillow: P has a palette
 
@@ -31,12 +24,15 @@ def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
     require_file(path)
     suffix = Path(path).suffix.lower()
     with reading(path):
-        if suffix in TIFF_SUFFIXES and (values := _colour_tiff(path, frame)) is not None:
+        if suffix in image_file.TIFF_SUFFIXES and (values := _colour_tiff(path, frame)) is not None:
             return _plain(values)
-        if suffix in (*JPEG_SUFFIXES, ".png") and (values := _colour_pillow(path)) is not None:
+        if (
+            suffix in (*image_file.JPEG_SUFFIXES, ".png")
+            and (values := _colour_pillow(path)) is not None
+        ):
             _check_frame(frame, 1)
             return _plain(values)
-        frames = load_frames(path)
+        frames = image_file.load_frames(path)
         _check_frame(frame, len(frames))
         return np.asarray(frames[frame])
 
@@ -44,9 +40,9 @@ def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
 def load_jpeg_steps(path: str | Path) -> NDArray[np.float64] | None:
     """Read the quantisation table [8 8] (row, col) of the luminance of a JPEG; None of others."""
     require_file(path)
-    if Path(path).suffix.lower() not in JPEG_SUFFIXES:
+    if Path(path).suffix.lower() not in image_file.JPEG_SUFFIXES:
         return None
-    with reading(path), opened_by_pillow(path, "JPEG") as image:
+    with reading(path), image_file.opened_by_pillow(path, "JPEG") as image:
         table = image.quantization.get(0)
         return None if table is None else np.array(table, dtype=np.float64).reshape(8, 8)
 
@@ -89,7 +85,7 @@ def _colour_tiff(path: str | Path, frame: int) -> NDArray[Any] | None:
     """
     import tifffile
 
-    with strict_tifffile(), tifffile.TiffFile(path) as file:
+    with image_file.strict_tifffile(), tifffile.TiffFile(path) as file:
         page: Any = file.pages.first
         series = file.series[0]
         if page.photometric != tifffile.PHOTOMETRIC.RGB:
@@ -99,7 +95,7 @@ def _colour_tiff(path: str | Path, frame: int) -> NDArray[Any] | None:
             return None
         _check_frame(frame, len(file.pages))
         page = file.pages[frame]
-        if page.compression not in TIFFFILE_COMPRESSIONS:
+        if page.compression not in image_file.TIFFFILE_COMPRESSIONS:
             return _colour_pillow(path, frame)
         check_unpacked(page.nbytes, Path(path).stat().st_size, "pages")
         values = page.asarray()
@@ -110,7 +106,7 @@ def _colour_tiff(path: str | Path, frame: int) -> NDArray[Any] | None:
 
 def _colour_pillow(path: str | Path, frame: int = 0) -> NDArray[Any] | None:
     """Return [row col 3] of a JPEG, or of colours of 8 bits, however opaque; None if it is grey."""
-    with opened_by_pillow(path, "JPEG", "PNG", "TIFF") as image:
+    with image_file.opened_by_pillow(path, "JPEG", "PNG", "TIFF") as image:
         image.seek(frame)
         size = Path(path).stat().st_size
         check_unpacked(_COLOURS * image.width * image.height, size, "pixels")

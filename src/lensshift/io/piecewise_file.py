@@ -19,16 +19,9 @@ from numpy.typing import NDArray
 
 from lensshift.core.atomic import GrowingFile, writable_target, written_whole
 from lensshift.core.errors import DataError, naming
+from lensshift.io import container_writer as writer
 from lensshift.io.capture_file import lock
 from lensshift.io.container_reader import WRITTEN, open_container
-from lensshift.io.container_writer import (
-    Allocated,
-    Content,
-    measured,
-    refuse_other_ending,
-    sealed_text,
-    write_hdf5,
-)
 
 
 class PiecewiseFile(GrowingFile):
@@ -40,7 +33,7 @@ class PiecewiseFile(GrowingFile):
         part: Path,
         file: BinaryIO,
         starts: Mapping[str, int],
-        spaces: Mapping[str, Allocated],
+        spaces: Mapping[str, writer.Allocated],
         written: NDArray[np.bool_],  # [piece] which pieces are there
     ) -> None:
         super().__init__(file)
@@ -48,26 +41,28 @@ class PiecewiseFile(GrowingFile):
         self._starts, self._spaces = dict(starts), dict(spaces)
 
     @classmethod
-    def begin(cls, path: str | Path, content: Content, begun: str) -> Self:
+    def begin(cls, path: str | Path, content: writer.Content, begun: str) -> Self:
         """Allocate a file, or go on with what was `begun` with the same text.
 
         Variables with `Allocated` values are filled later; their first dimension is that of the
         first variable. DataError if there is no room, or the file is another's.
         """
-        refuse_other_ending(path)
+        writer.refuse_other_ending(path)
         target = writable_target(path)
         part = target.with_name(f"{target.name}.part")
         first = next(iter(content.variables.values()))
-        space = Allocated((first.values.shape[0],), np.dtype("<u1"))
-        written = measured((first.dims[0],), space, "1", "1 where the piece was written")
+        space = writer.Allocated((first.values.shape[0],), np.dtype("<u1"))
+        written = writer.measured((first.dims[0],), space, "1", "1 where the piece was written")
         variables = {**content.variables, WRITTEN: written}
-        spaces = {k: v.values for k, v in variables.items() if isinstance(v.values, Allocated)}
+        spaces = {
+            k: v.values for k, v in variables.items() if isinstance(v.values, writer.Allocated)
+        }
         if not part.exists():
             _check_room(target, spaces)
-            described = {**content.attributes, "begun": sealed_text(begun)}
+            described = {**content.attributes, "begun": writer.sealed_text(begun)}
             whole = replace(content, variables=variables, attributes=described)
             with naming(path), written_whole(part) as fresh:
-                write_hdf5(whole, fresh, path)
+                writer.write_hdf5(whole, fresh, path)
         with open_container(part, content.schema) as container:
             if container.text("begun") != begun:
                 problem = (
@@ -115,7 +110,7 @@ class PiecewiseFile(GrowingFile):
         return self._part.replace(self._target)
 
 
-def _check_room(target: Path, spaces: Mapping[str, Allocated]) -> None:
+def _check_room(target: Path, spaces: Mapping[str, writer.Allocated]) -> None:
     needed = sum(int(np.prod(one.shape)) * one.dtype.itemsize for one in spaces.values())
     free = shutil.disk_usage(target.parent).free
     if needed > free:

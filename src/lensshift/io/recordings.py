@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import warnings
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
@@ -11,7 +10,7 @@ from typing import Any, BinaryIO, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.errors import DataError, QualityWarning, of_extra
+from lensshift.core.errors import DataError, of_extra, warn_quality
 from lensshift.io.reading import reading, require_file
 from lensshift.io.recordings_pcap import Datagram, UdpReader, is_capture, read_packets
 
@@ -37,11 +36,9 @@ def read_udp(path: str | Path) -> Iterator[Datagram]:
             if datagram is not None:
                 yield datagram
     if udp.cut or udp.incomplete:
-        warnings.warn(
+        warn_quality(
             f"{path}: {udp.cut} datagrams were recorded in part and {udp.incomplete} lack a "
-            "fragment; they are left out",
-            QualityWarning,
-            stacklevel=2,
+            "fragment; they are left out"
         )
 
 

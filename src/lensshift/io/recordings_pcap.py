@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import socket
 import struct
-import warnings
 from collections.abc import Iterator
 from typing import BinaryIO, NamedTuple
 
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, warn_quality
 
 _PCAP = {  # magic as it lies in the file -> byte order, seconds of a tick
     b"\xd4\xc3\xb2\xa1": ("<", 1e-6),
@@ -60,9 +59,7 @@ def read_packets(file: BinaryIO, name: str) -> Iterator[Packet]:
             count += 1
             yield packet
     except _CutOffError:
-        warnings.warn(
-            f"{name}: the file is cut off after {count} packets", QualityWarning, stacklevel=3
-        )
+        warn_quality(f"{name}: the file is cut off after {count} packets", 3)
 
 
 def _take(file: BinaryIO, size: int) -> bytes:

@@ -8,14 +8,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
-from lensshift.registration.picture import (
-    LEAST_FRAMES,
-    Fit,
-    Places,
-    alternate,
-    predicted,
-    step_from,
-)
+from lensshift.registration import picture
 
 # Coarse frames come first: there what turns moves by few pixels.
 COARSE_PX = 64
@@ -75,9 +68,9 @@ def affine_motion(frames: Array, valid: Mask, start_px: Shifts, *, reference: in
         levels.append(_halved(*levels[-1]))
     coarsest, *finer = reversed(levels)
     start = np.asarray(start_px)[..., None] / 2 ** len(finer)
-    fit = alternate(*coarsest, _padded(start), reference, ROUNDS)
+    fit = picture.alternate(*coarsest, _padded(start), reference, ROUNDS)
     for seen, known in finer:
-        fit = alternate(seen, known, 2 * fit.place_px, reference, ROUNDS)
+        fit = picture.alternate(seen, known, 2 * fit.place_px, reference, ROUNDS)
     own = np.einsum("kii->ki", fit.own).reshape(fit.place_px.shape)[..., 0]
     half = np.maximum((np.array(frames.shape[1:]) - 1) / 2, 0.5)
     return AffineFit(
@@ -93,17 +86,17 @@ def turning(frames: Array, valid: Mask, offset_px: Shifts, reference: int = 0) -
     chance and four more numbers a frame explain: the quarter of the sensor that gains most left
     out, since what moves is somewhere.
     """
-    if len(frames) < LEAST_FRAMES:
+    if len(frames) < picture.LEAST_FRAMES:
         return None
     seen, known, px = frames, valid, offset_px
     while min(seen.shape[1:]) >= 2 * COARSE_PX:
         (seen, known), px = _halved(seen, known), px / 2
     size = frames.shape[1] / seen.shape[1]
-    first = step_from(seen, known, px, terms=3)
+    first = picture.step_from(seen, known, px, terms=3)
     if size * np.abs((first - first[reference])[..., 1:]).sum(axis=2).max() < LEAST_CORNER_PX:
         return None
-    shifted = alternate(seen, known, px[..., None], reference)
-    turned = alternate(seen, known, _padded(shifted.place_px), reference, ROUNDS)
+    shifted = picture.alternate(seen, known, px[..., None], reference)
+    turned = picture.alternate(seen, known, _padded(shifted.place_px), reference, ROUNDS)
     if not turned.settled:  # noise leads it on, and it follows
         return None
     gain = np.subtract(*(_quarter_errors(seen, known, fit) for fit in (shifted, turned)))
@@ -115,9 +108,9 @@ def turning(frames: Array, valid: Mask, offset_px: Shifts, reference: int = 0) -
     return found if corner_px(found.affine, frames.shape[1:]) > LEAST_CORNER_PX else None
 
 
-def _quarter_errors(frames: Array, valid: Mask, fit: Fit) -> Floats:
+def _quarter_errors(frames: Array, valid: Mask, fit: picture.Fit) -> Floats:
     """Return the error of prediction [frame quarter], without what numbers fitted take from it."""
-    error, weight, _ = predicted(frames, valid, fit.place_px)
+    error, weight, _ = picture.predicted(frames, valid, fit.place_px)
     row, col = (size // 2 for size in frames.shape[1:])
     parts = [np.s_[:, r, c] for r in (np.s_[:row], np.s_[row:]) for c in (np.s_[:col], np.s_[col:])]
     means = [np.sum((error * weight)[part], axis=(1, 2))
@@ -126,7 +119,7 @@ def _quarter_errors(frames: Array, valid: Mask, fit: Fit) -> Floats:
     return np.asarray(np.stack(means, axis=1) / np.sqrt(1 - fitted)[:, None])
 
 
-def _padded(place_px: Places) -> Places:
+def _padded(place_px: picture.Places) -> picture.Places:
     return np.concatenate([place_px, np.zeros((*place_px.shape[:2], 2))], axis=2)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.calibration import Calibration
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.lens_field import LensField
 from lensshift.core.motion import StageMap
 from lensshift.core.types import Burst
@@ -340,18 +339,16 @@ def _play(found: Floats, covariance: Floats, turns: Mask) -> tuple[Floats, Float
 
 def _warn(sigma_px: float, matrix: Floats, matrix_sigma: Floats) -> None:
     if sigma_px > BUDGET_PX:
-        warnings.warn(
+        warn_quality(
             f"the calibration leaves {sigma_px:.3f} px rms unexplained (want {BUDGET_PX} px); does "
             "the stage repeat, did the scene stand still?",
-            QualityWarning,
-            stacklevel=3,
+            3,
         )
     for row, name in zip(matrix_sigma, ("row", "col"), strict=True):
         share = float(np.linalg.norm(row) / np.linalg.norm(matrix))
         if share > _BLIND_SHARE:
-            warnings.warn(
+            warn_quality(
                 f"the scan tells shifts along {name} to {100 * share:.0f} % only: the scene has "
                 "too little texture; put a chart with edges in several directions there",
-                QualityWarning,
-                stacklevel=3,
+                3,
             )

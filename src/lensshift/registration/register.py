@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -12,36 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
-from lensshift.core.defects import (
-    blank_frames,
-    doubts_about_frames,
-    repeated_frame,
-    stuck_pixels,
-)
-from lensshift.core.errors import QualityWarning
+from lensshift.core.defects import blank_frames, doubts_about_frames, repeated_frame, stuck_pixels
+from lensshift.core.errors import warn_quality
 from lensshift.core.types import Burst, expect_burst
+from lensshift.registration import blocks
 from lensshift.registration.affine import affine_motion, turning
-from lensshift.registration.blocks import (
-    LEAST_VALID,
-    Scatter,
-    filled,
-    likely_where_telling,
-    scatter_of_parts,
-    scatter_over_blocks,
-)
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
-from lensshift.registration.likelihood import (
-    UNKNOWN_PX,
-    USUAL_SHIFT_PX,
-    ShiftFit,
-    with_given,
-)
+from lensshift.registration.likelihood import UNKNOWN_PX, USUAL_SHIFT_PX, ShiftFit, with_given
 from lensshift.registration.phase import phase_fit, phase_shifts, rival_shifts
-from lensshift.registration.picture import (
-    LEAST_FRAMES,
-    LEAST_PREDICTING,
-    better_shifts,
-)
+from lensshift.registration.picture import LEAST_FRAMES, LEAST_PREDICTING, better_shifts
 
 Method = Literal["auto", "gradient", "phase"]
 Motion = Literal["auto", "shift", "affine"]
@@ -116,9 +94,9 @@ def register(
     if channel == "amplitude":
         doubts += doubts_about_frames(frames, valid, photometric=photometric)
     for said in filter(None, doubts):
-        warnings.warn(said, QualityWarning, stacklevel=2)
+        warn_quality(said)
     frames /= np.max(np.abs(frames), where=valid, initial=0.0) or 1.0  # their squares exist
-    whole = filled(frames, valid)
+    whole = blocks.filled(frames, valid)
     given_px = burst.offset_px - burst.offset_px[reference]
     known, affine, factor = bool(np.any(given_px)), None, 1.0
     phase_px = phase_shifts(whole, reference)
@@ -127,7 +105,7 @@ def register(
     else:
         run: Run = partial(gradient_shifts, reference=reference, photometric=photometric)
         if method == "auto":
-            run = partial(likely_where_telling, reference=reference, photometric=photometric)
+            run = partial(blocks.likely_where_telling, reference=reference, photometric=photometric)
         elif np.iscomplexobj(frames):
             frames = np.abs(frames)
         fit = _from_best_start(run, frames, valid, given_px, phase_px, keep_given=use_given)
@@ -157,7 +135,7 @@ def register(
 def _seen(burst: Burst, frames: Array) -> NDArray[np.intp]:
     """Return the numbers of the frames whose valid pixels tell a shift; warn of others."""
     count = burst.valid.sum(axis=(1, 2))
-    few = count < max(1.0, LEAST_VALID * count.max())
+    few = count < max(1.0, blocks.LEAST_VALID * count.max())
     blank = blank_frames(frames, burst.valid)
     kept = np.flatnonzero(~few & ~blank)
     if len(kept) < 2:
@@ -170,9 +148,7 @@ def _seen(burst: Burst, frames: Array) -> NDArray[np.intp]:
     ):
         if lost.any():
             said = f"frame {', '.join(map(str, np.flatnonzero(lost)[:9]))}: {why}"
-            warnings.warn(
-                f"{said}, which does not tell its shift; {done}", QualityWarning, stacklevel=3
-            )
+            warn_quality(f"{said}, which does not tell its shift; {done}", 3)
     return kept
 
 
@@ -214,11 +190,11 @@ def frames_of(burst: Burst, channel: str) -> Array:
 
 def _scatter_of_few(
     frames: Array, valid: Mask, fit: ShiftFit, reference: int, photometric: bool
-) -> Scatter | None:
+) -> blocks.Scatter | None:
     """Return how parts scatter; more frames show what moves themselves (`better_shifts`)."""
     if len(frames) >= LEAST_PREDICTING:
         return None
-    return scatter_of_parts(frames, valid, fit, reference, photometric=photometric)
+    return blocks.scatter_of_parts(frames, valid, fit, reference, photometric=photometric)
 
 
 def _turned(
@@ -233,11 +209,10 @@ def _turned(
     if found is None:
         return fit, None
     if motion == "auto":
-        warnings.warn(
+        warn_quality(
             f"the frames do not only shift but differ {found.said(frames.shape[1:])}, which is "
             'allowed for: motion="shift" of register (--motion shift) would not',
-            QualityWarning,
-            stacklevel=3,
+            3,
         )
     own = np.diag(found.sigma_px.ravel() ** 2)
     own[2 * reference : 2 * reference + 2] = 0.0
@@ -307,7 +282,7 @@ def _widened(run: Run, frames: Array, valid: Mask, fit: ShiftFit) -> ShiftFit:
         found = run(part, part_valid, fit.offset_px, max_iterations=8)
         return found.offset_px, found.sigma_px
 
-    factor = scatter_over_blocks(estimate, frames, valid, fit.offset_px).factor
+    factor = blocks.scatter_over_blocks(estimate, frames, valid, fit.offset_px).factor
     count = len(frames)
     texture = texture_covariance(frames, valid, fit.offset_px, fit.noise_sigma)
     apart = (fit.sigma_px > 0).astype(np.float64)
@@ -320,38 +295,33 @@ def _warn_if_poor(
 ) -> None:
     """Warn of shifts [frame 2] that are poorly known, of the frames with these numbers."""
     if not converged:
-        warnings.warn(
-            "the search for the shifts did not settle; are these frames of one still scene?",
-            QualityWarning,
-            stacklevel=3,
+        warn_quality(
+            "the search for the shifts did not settle; are these frames of one still scene?", 3
         )
     unsure = int(np.argmax(np.hypot(*rivals_px.T)))
     if np.any(rivals_px):
         down, right = rivals_px[unsure]
-        warnings.warn(
+        warn_quality(
             f"the scene repeats or shows little: frame {kept[unsure]} may as well lie "
             f"({down:+.0f}, {right:+.0f}) px elsewhere; planned offset_px would tell",
-            QualityWarning,
-            stacklevel=3,
+            3,
         )
         return
     worst = np.unravel_index(int(np.argmax(sigma_px)), sigma_px.shape)
     worst_px, number = float(sigma_px[worst]), int(kept[worst[0]])
     if worst_px > POOR_SIGMA_PX and apart**2 > 2.0:  # the larger part of the variance
-        warnings.warn(
+        warn_quality(
             f"parts of the frames disagree on shifts by {apart:.1f} times their errors: that of "
             f"frame {number} is known to {worst_px:.2f} px only (want {POOR_SIGMA_PX} px); does "
             "something move (then mark it as not valid), or is there little to see in a part? Take "
             "a scene with more edges, or give the shifts",
-            QualityWarning,
-            stacklevel=3,
+            3,
         )
     elif not worst_px <= POOR_SIGMA_PX:
         along = ("row", "col")[int(worst[1])]
-        warnings.warn(
+        warn_quality(
             f"too little texture along {along}: the shift of frame {number} is known to "
             f"{worst_px:.2f} px only (want {POOR_SIGMA_PX} px); take more light or a scene with "
             "edges across it, or give the shifts",
-            QualityWarning,
-            stacklevel=3,
+            3,
         )

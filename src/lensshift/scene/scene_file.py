@@ -31,19 +31,10 @@ from lensshift.core.arrays import Floats
 from lensshift.core.atomic import write_text
 from lensshift.core.errors import DataError, naming
 from lensshift.core.settings import check_keys, fit, parse_toml, read_text
+from lensshift.scene import textures
 from lensshift.scene.checks import number, numbers
 from lensshift.scene.mesh import Mesh, load_mesh
 from lensshift.scene.shapes import Cuboid, Plane, Rectangle, Scene, Shape, Sphere
-from lensshift.scene.textures import (
-    Checker,
-    Constant,
-    Edge,
-    ImageTexture,
-    LinePairs,
-    SiemensStar,
-    Texture,
-    ZonePlate,
-)
 
 _SHAPES: dict[str, type[Shape]] = {
     "plane": Plane,
@@ -53,13 +44,13 @@ _SHAPES: dict[str, type[Shape]] = {
     "mesh": Mesh,
 }
 _TEXTURES: dict[str, Callable[..., Any]] = {
-    "constant": Constant,
-    "checker": Checker,
-    "edge": Edge,
-    "siemens_star": SiemensStar,
-    "zone_plate": ZonePlate,
-    "line_pairs": LinePairs,
-    "image": ImageTexture,
+    "constant": textures.Constant,
+    "checker": textures.Checker,
+    "edge": textures.Edge,
+    "siemens_star": textures.SiemensStar,
+    "zone_plate": textures.ZonePlate,
+    "line_pairs": textures.LinePairs,
+    "image": textures.ImageTexture,
 }
 # What a file gives instead of numbers that are written out, and the keys that name the file.
 _IN_FILE = {"mesh": {"vertices_m", "triangles"}, "image": {"image"}}
@@ -140,12 +131,12 @@ def _shape(table: Any, where: str, folder: Path) -> Shape:
     return _built(build, values, where)
 
 
-def _texture(table: _Table, where: str, folder: Path) -> Texture:
+def _texture(table: _Table, where: str, folder: Path) -> textures.Texture:
     kind, values = _values(table, "texture", _TEXTURES, where)
     if "file" in values:
         path = _path(values.pop("file"), where, folder)
         values["image"] = _built(_grey_image, {"path": path}, where)
-    build: Callable[..., Texture] = _TEXTURES[kind]
+    build: Callable[..., textures.Texture] = _TEXTURES[kind]
     return _built(build, values, where)
 
 

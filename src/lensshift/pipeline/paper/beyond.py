@@ -11,20 +11,7 @@ from lensshift.camera import named_pattern_px, simulate_tof
 from lensshift.evaluation import fidelity
 from lensshift.optics.lens_file import load_lens
 from lensshift.pipeline.experiment import Experiment, told
-from lensshift.pipeline.paper.bench import (
-    CARD_LIGHT,
-    PITCH_MM,
-    PRIOR_WEIGHT,
-    PUBLISHED,
-    SHIFT_ERROR_PX,
-    SNR,
-    WALL_LIGHT,
-    Response,
-    measured_edge,
-    paper_camera,
-    reconstructed,
-    solved,
-)
+from lensshift.pipeline.paper import bench
 from lensshift.pipeline.paper.box_claims import BRIGHTEST_LIGHT, amplitude_error
 from lensshift.pipeline.paper.claims import Claim, mean_interval
 from lensshift.pipeline.paper.gratings import grating_of
@@ -38,7 +25,11 @@ PATTERNS = (("square", 2), ("3x3", 3), ("4x4", 4))
 ERRORS_PX = (0.0, 0.02, 0.05, 0.1)  # rms: none, that of the bench, two that hurt
 # Moved lens, SNR, shift error: with planned shifts and single frames, with shifts as `calibrate`
 # leaves them, and with sixteen frames averaged at each position as well.
-MAPS = ((0, SNR, 0.02), (0, SNR, 0.004), *((element, 4 * SNR, 0.004) for element in (0, 1, 2)))
+MAPS = (
+    (0, bench.SNR, 0.02),
+    (0, bench.SNR, 0.004),
+    *((element, 4 * bench.SNR, 0.004) for element in (0, 1, 2)),
+)
 _GRATING_LPMM = 5.0  # beside the edges of the tables; beyond the Nyquist frequency of a frame
 # The zone plate fills the sensor; its last ring is 1.25 pixels wide.
 _RADIUS_M, _FINEST_M = 0.41, 0.0155
@@ -48,24 +39,26 @@ _RESPONSE = (None, float(np.hypot(1.0 / np.sqrt(12.0), 0.05)))
 _ZONE_DRAWS = 4  # of noise and shift errors
 
 
-def pattern_row(pattern: str, scale: int, response: Response = PUBLISHED) -> Row:
+def pattern_row(pattern: str, scale: int, response: bench.Response = bench.PUBLISHED) -> Row:
     """Return what a finer pattern resolves, every frame exposed as one of four."""
-    row = {"pattern": pattern, "scale": scale, "grid_nyquist_lpmm": 0.5 * scale / PITCH_MM}
+    row = {"pattern": pattern, "scale": scale, "grid_nyquist_lpmm": 0.5 * scale / bench.PITCH_MM}
     return row | _numbers(pattern, scale, response)
 
 
-def error_row(shift_error_px: float, seed: int = 0, response: Response = PUBLISHED) -> Row:
+def error_row(
+    shift_error_px: float, seed: int = 0, response: bench.Response = bench.PUBLISHED
+) -> Row:
     """Return what wrong shifts leave of edge, grating and boxes, and what it is to know them."""
     row: Row = {"shift_error_px": shift_error_px}
     row |= _numbers("square", 2, response, shift_error_px=shift_error_px, seed=seed)
     capture = simulate_tof(
-        four_boxes(), paper_camera(SNR, WALL_LIGHT, BRIGHTEST_LIGHT), named_pattern_px("square"),
-        shift_error_px=shift_error_px, seed=seed,
+        four_boxes(), bench.paper_camera(bench.SNR, bench.WALL_LIGHT, BRIGHTEST_LIGHT),
+        named_pattern_px("square"), shift_error_px=shift_error_px, seed=seed,
     )  # fmt: skip
     known = replace(capture.burst, offset_px=capture.truth.offset_px)
     for method in ("auto", "tikhonov"):
         for name, burst in (("planned", capture.burst), ("known", known)):
-            error = amplitude_error(solved(burst, method, response), capture.truth)
+            error = amplitude_error(bench.solved(burst, method, response), capture.truth)
             row[f"{name}_error_{method}"] = error
     return row
 
@@ -151,7 +144,7 @@ def shift_map_row(element: int, snr: float, shift_error_px: float) -> Row:
 def zone_psnr_db(element: int, snr: float, shift_error_px: float, seed: int) -> tuple[float, float]:
     """Return the PSNR with one shift per frame, and with the map, of the same frames."""
     light = 0.9 / CARD_DISTANCE_M**2
-    camera = paper_camera(snr, light, light, optics="petzval_b", element=element)
+    camera = bench.paper_camera(snr, light, light, optics="petzval_b", element=element)
     rings = Plane(
         centre_m=(0.0, 0.0, CARD_DISTANCE_M), reflectance=ZonePlate(_RADIUS_M, _FINEST_M, 0.1, 0.9)
     )
@@ -165,9 +158,9 @@ def zone_psnr_db(element: int, snr: float, shift_error_px: float, seed: int) -> 
     psnr_db = []
     for shifts in ("planned", "traced"):
         burst, field = told(replace(experiment, shifts=shifts), capture)
-        image = reconstructed(
+        image = bench.reconstructed(
             burst, "amplitude", method="tikhonov", shift_field=field,
-            prior_weight=PRIOR_WEIGHT, response=_RESPONSE,
+            prior_weight=bench.PRIOR_WEIGHT, response=_RESPONSE,
         )["amplitude"]  # fmt: skip
         psnr_db.append(fidelity(image, capture.truth.amplitude).psnr_db)
     return psnr_db[0], psnr_db[1]
@@ -176,19 +169,19 @@ def zone_psnr_db(element: int, snr: float, shift_error_px: float, seed: int) -> 
 def _numbers(
     pattern: str,
     scale: int,
-    response: Response,
+    response: bench.Response,
     *,
-    shift_error_px: float = SHIFT_ERROR_PX,
+    shift_error_px: float = bench.SHIFT_ERROR_PX,
     seed: int = 0,
 ) -> Row:
     """Return what the edge of the card and a grating become."""
-    camera = paper_camera(SNR, CARD_LIGHT, CARD_LIGHT)
+    camera = bench.paper_camera(bench.SNR, bench.CARD_LIGHT, bench.CARD_LIGHT)
     burst = simulate_tof(
         slanted_edge_card(), camera, named_pattern_px(pattern), scale=scale,
         shift_error_px=shift_error_px, seed=seed,
     ).burst  # fmt: skip
-    fine = measured_edge(solved(burst, "auto", response, scale), scale)
-    coarse = measured_edge(np.asarray(burst.amplitude[0]), 1)
+    fine = bench.measured_edge(bench.solved(burst, "auto", response, scale), scale)
+    coarse = bench.measured_edge(np.asarray(burst.amplitude[0]), 1)
     return {
         "mtf50_lpmm": fine.mtf50_lpmm.value,
         "width_gain": coarse.rise_mm.value / fine.rise_mm.value,

@@ -13,17 +13,7 @@ from lensshift.core.types import Burst
 from lensshift.evaluation import fidelity
 from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.pipeline.experiment import depth_numbers, traced_field
-from lensshift.pipeline.paper.bench import (
-    PITCH_MM,
-    PUBLISHED,
-    SHIFT_ERROR_PX,
-    SNR,
-    WALL_LIGHT,
-    Response,
-    paper_camera,
-    reconstructed,
-    solved,
-)
+from lensshift.pipeline.paper import bench
 from lensshift.pipeline.paper.claims import Claim, mean_interval
 from lensshift.reconstruction.problem import SQUARE_PIXEL_PX
 from lensshift.scene import four_boxes
@@ -38,7 +28,7 @@ _ROWS = (10, 11, 12)
 _COLS = (2, 10)
 # Assumed pixels: as it is, on HR pixels that are evenly bright, and Gaussians.
 _WIDTHS_PX = (0.20, 0.25, 0.30, 0.35, 0.40)
-RESPONSES: tuple[Response, ...] = ((1.0, 0.05), *((None, width) for width in _WIDTHS_PX))
+RESPONSES: tuple[bench.Response, ...] = ((1.0, 0.05), *((None, width) for width in _WIDTHS_PX))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,23 +46,27 @@ class BoxRun:
     irwsr_ratio: float  # error of the published solver over Farsiu's, both with 0.30 px
 
 
-def take_boxes(seed: int, snr: float = SNR, response: Response = PUBLISHED) -> BoxRun:
+def take_boxes(
+    seed: int, snr: float = bench.SNR, response: bench.Response = bench.PUBLISHED
+) -> BoxRun:
     """Simulate the boxes through the moving lens and measure one edge of the left small cube."""
-    camera = paper_camera(snr, WALL_LIGHT, BRIGHTEST_LIGHT, optics="petzval_a")
+    camera = bench.paper_camera(snr, bench.WALL_LIGHT, BRIGHTEST_LIGHT, optics="petzval_a")
     # Where the edge lies on the pixels is chance, as on a bench.
     phase_px = np.random.default_rng([seed, 1]).uniform(-0.5, 0.5, 2) if seed else np.zeros(2)
     pattern = named_pattern_px("square") + phase_px
-    capture = simulate_tof(four_boxes(), camera, pattern, shift_error_px=SHIFT_ERROR_PX, seed=seed)
+    capture = simulate_tof(
+        four_boxes(), camera, pattern, shift_error_px=bench.SHIFT_ERROR_PX, seed=seed
+    )
     burst, truth = capture.burst, capture.truth
     frame = {"amplitude": burst.amplitude[0], "distance": np.asarray(burst.distance_m)[0]}
     found: dict[str, dict[str, Any]] = {"one frame": frame}
     found["separate branches"] = {
-        "amplitude": solved(burst, "auto", response),
-        "distance": reconstructed(burst, "distance", response=response)["distance"],
+        "amplitude": bench.solved(burst, "auto", response),
+        "distance": bench.reconstructed(burst, "distance", response=response)["distance"],
     }
-    found["phasor branch"] = reconstructed(burst, "phasor", response=response)
+    found["phasor branch"] = bench.reconstructed(burst, "phasor", response=response)
     field = traced_field(camera, burst)
-    traced = reconstructed(burst, "distance", shift_field=field, response=response)
+    traced = bench.reconstructed(burst, "distance", shift_field=field, response=response)
     gains = {
         name: _gains(found["separate branches"], frame, name, phase_px)
         for name in ("amplitude", "distance")
@@ -85,7 +79,8 @@ def take_boxes(seed: int, snr: float = SNR, response: Response = PUBLISHED) -> B
     }
     found["truth"] = {"amplitude": truth.amplitude, "distance": truth.distance_m}
     irwsr, farsiu = (
-        amplitude_error(solved(burst, method), truth) for method in ("irwsr-toolbox", "l1-btv")
+        amplitude_error(bench.solved(burst, method), truth)
+        for method in ("irwsr-toolbox", "l1-btv")
     )
     rows = [_response_row(burst, truth, one) for one in RESPONSES]
     return BoxRun(gains, depth, found, rows, irwsr / farsiu)
@@ -96,15 +91,17 @@ def amplitude_error(image: Floats, truth: TofTruth) -> float:
     return fidelity(image, truth.amplitude).rmse / float(np.mean(truth.amplitude))
 
 
-def _response_row(burst: Burst, truth: TofTruth, response: Response) -> dict[str, Any]:
+def _response_row(burst: Burst, truth: TofTruth, response: bench.Response) -> dict[str, Any]:
     row: dict[str, Any] = {
         "assumed": "Gaussian" if response[0] is None else "square, spot",
         "width_px": response[1],
     }
     for method in ("auto", "tikhonov"):
-        row[f"amplitude_error_{method}"] = amplitude_error(solved(burst, method, response), truth)
+        row[f"amplitude_error_{method}"] = amplitude_error(
+            bench.solved(burst, method, response), truth
+        )
     for branch in ("distance", "phasor"):
-        image = reconstructed(burst, branch, response=response)["distance"]
+        image = bench.reconstructed(burst, branch, response=response)["distance"]
         row[f"{branch}_edge_mm"] = 1e3 * depth_numbers(image, truth, 2)["edge_rmse_m"]
     return row
 
@@ -226,9 +223,9 @@ def _gains(fine: dict[str, Any], frame: dict[str, Any], name: str, phase_px: Flo
     rows = [row + row_px for row in _ROWS]
     first, last = _COLS[0] + col_px, _COLS[1] + col_px
     share = SHARES[name]
-    coarse = steepness(frame[name], rows, slice(first, last), PITCH_MM, share)
+    coarse = steepness(frame[name], rows, slice(first, last), bench.PITCH_MM, share)
     double = [2 * row for row in rows]
-    steep = steepness(fine[name], double, slice(2 * first, 2 * last), PITCH_MM / 2, share)
+    steep = steepness(fine[name], double, slice(2 * first, 2 * last), bench.PITCH_MM / 2, share)
     return np.asarray(steep / coarse)
 
 

@@ -12,16 +12,7 @@ from lensshift.core.arrays import Floats, Mask
 from lensshift.evaluation.edge_gradient import profile_edge
 from lensshift.evaluation.limits import pixel_aperture_mtf
 from lensshift.evaluation.slanted_edge import EdgeResult
-from lensshift.pipeline.paper.bench import (
-    CARD_LIGHT,
-    PITCH_MM,
-    PUBLISHED,
-    SHIFT_ERROR_PX,
-    SNR,
-    Response,
-    measured_edge,
-    paper_camera,
-)
+from lensshift.pipeline.paper import bench
 from lensshift.pipeline.paper.claims import Claim, Number, exactly, mean_interval, span
 from lensshift.pipeline.paper.gratings import (
     SOLVERS,
@@ -53,31 +44,33 @@ class EdgeRun:
     departures: dict[int, float]  # bits (0: all) -> rms of the frame from its limit, 4 LP/mm up
 
 
-def take_edge(seed: int, response: Response = PUBLISHED) -> EdgeRun:
+def take_edge(seed: int, response: bench.Response = bench.PUBLISHED) -> EdgeRun:
     """Simulate the edge card with both ways of shifting, and measure all images of it."""
     lens, sensor, unrounded = (
         simulate_tof(
             slanted_edge_card(), replace(camera, output="float") if alone else camera,
-            named_pattern_px("square")[: 1 if alone else 4], shift_error_px=SHIFT_ERROR_PX,
+            named_pattern_px("square")[: 1 if alone else 4], shift_error_px=bench.SHIFT_ERROR_PX,
             seed=seed,
         ).burst
         for camera, alone in ((_camera(0), False), (_camera(None), False), (_camera(0), True))
     )  # fmt: skip
     images = pictures(lens, sensor, response)
     edges = {
-        kind: measured_edge(image, 1 if kind == "one frame" else 2, FREQUENCY_LPMM)
+        kind: bench.measured_edge(image, 1 if kind == "one frame" else 2, FREQUENCY_LPMM)
         for kind, image in images.items()
     }
     frame, departures = np.asarray(unrounded.amplitude[0]), {}
     for bits in (0, *BITS):
         step = np.max(frame) / 2**bits
         rounded = np.round(frame / step) * step if bits else frame
-        departures[bits] = _departure(measured_edge(rounded, 1, FREQUENCY_LPMM))
+        departures[bits] = _departure(bench.measured_edge(rounded, 1, FREQUENCY_LPMM))
     return EdgeRun(edges, images, departures)
 
 
 def _camera(element: int | None) -> TofCamera:
-    return paper_camera(SNR, CARD_LIGHT, CARD_LIGHT, optics="petzval_a", element=element)
+    return bench.paper_camera(
+        bench.SNR, bench.CARD_LIGHT, bench.CARD_LIGHT, optics="petzval_a", element=element
+    )
 
 
 def _departure(edge: EdgeResult) -> float:
@@ -105,7 +98,7 @@ def mean_curve(runs: list[EdgeRun], kind: str) -> Floats:
 
 def limit(share: float, angle_rad: float = SLANT_RAD) -> Floats:
     """Return what a pixel of a share of the pitch lets through along the normal of the edge."""
-    return pixel_aperture_mtf(FREQUENCY_LPMM, share * PITCH_MM, angle_rad=angle_rad)
+    return pixel_aperture_mtf(FREQUENCY_LPMM, share * bench.PITCH_MM, angle_rad=angle_rad)
 
 
 def upto(frequency_lpmm: Floats, good: Mask) -> float:

@@ -13,22 +13,14 @@ import numpy as np
 from lensshift.camera import named_pattern_px, simulate_tof
 from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
-from lensshift.pipeline.paper.bench import (
-    PITCH_MM,
-    PUBLISHED,
-    SHIFT_ERROR_PX,
-    Response,
-    paper_camera,
-    px_to_m,
-    reconstructed,
-)
+from lensshift.pipeline.paper import bench
 from lensshift.pipeline.paper.box_claims import BRANCHES, SHARES, steepness
 from lensshift.pipeline.paper.claims import Pair, mean_interval
 from lensshift.scene import Plane, Rectangle, Scene
 
 PHASES = 64  # lines, each a 64th of a pixel beside the one before
 NEAR_M, FAR_M = 3.4, 3.7  # strip and wall
-_GRID = Grid((PHASES, 24), (PITCH_MM, PITCH_MM))
+_GRID = Grid((PHASES, 24), (bench.PITCH_MM, bench.PITCH_MM))
 _FIRST_COL = 2  # where the profiles begin, on the wall
 _LEFT_COL = 8.0  # of the left edge in the middle of the image
 _WIDEST_PX = 12.0  # beyond it a profile holds no more of the edge
@@ -57,20 +49,22 @@ class Gain:
     reach: float  # share of the true step that one frame shows, on average
 
 
-def study_strip(strip: Strip, seed: int = 0, response: Response = PUBLISHED) -> dict[str, Gain]:
+def study_strip(
+    strip: Strip, seed: int = 0, response: bench.Response = bench.PUBLISHED
+) -> dict[str, Gain]:
     """Return the gains of all branches for one strip."""
     near, far = _reflectances(strip)
     light = max(near / NEAR_M**2, far / FAR_M**2)
-    camera = paper_camera(strip.snr, light, light, grid=_GRID, output="float")
+    camera = bench.paper_camera(strip.snr, light, light, grid=_GRID, output="float")
     capture = simulate_tof(
         _scene(strip), camera, named_pattern_px("square"),
-        shift_error_px=SHIFT_ERROR_PX, seed=seed,
+        shift_error_px=bench.SHIFT_ERROR_PX, seed=seed,
     )  # fmt: skip
     burst, truth = capture.burst, capture.truth
     fine = {
-        "amplitude": reconstructed(burst, "amplitude", response=response)["amplitude"],
-        "distance": reconstructed(burst, "distance", response=response)["distance"],
-        "phasor": reconstructed(burst, "phasor", response=response)["distance"],
+        "amplitude": bench.reconstructed(burst, "amplitude", response=response)["amplitude"],
+        "distance": bench.reconstructed(burst, "distance", response=response)["distance"],
+        "phasor": bench.reconstructed(burst, "phasor", response=response)["distance"],
     }
     frame = {"amplitude": burst.amplitude[0], "distance": np.asarray(burst.distance_m)[0]}
     true = {"amplitude": truth.amplitude, "distance": truth.distance_m}
@@ -86,8 +80,8 @@ def _scene(strip: Strip) -> Scene:
     near, far = _reflectances(strip)
     centre_px = _LEFT_COL + 0.5 * strip.width_px - 0.5 * (_GRID.shape[1] - 1)
     card = Rectangle(
-        centre_m=(px_to_m(centre_px, NEAR_M), 0.0, NEAR_M),
-        size_m=(px_to_m(strip.width_px, NEAR_M), px_to_m(2.0 * PHASES, NEAR_M)),
+        centre_m=(bench.px_to_m(centre_px, NEAR_M), 0.0, NEAR_M),
+        size_m=(bench.px_to_m(strip.width_px, NEAR_M), bench.px_to_m(2.0 * PHASES, NEAR_M)),
         turn_rad=(0.0, 0.0, -1.0 / PHASES),
         reflectance=near,
         name="strip",
@@ -109,9 +103,9 @@ def _gain(fine: Floats, frame: Floats, true: Floats, strip: Strip, channel: str)
         # From the wall to the middle of the strip, the wide ones not to their end.
         end = _LEFT_COL + min(0.5 * strip.width_px, 0.5 * _WIDEST_PX) + lean_px
         last = int(np.floor(end + 0.5)) + 1
-        coarse = steepness(frame, [row], slice(_FIRST_COL, last), PITCH_MM, share)[0]
+        coarse = steepness(frame, [row], slice(_FIRST_COL, last), bench.PITCH_MM, share)[0]
         cols = slice(2 * _FIRST_COL, 2 * last)
-        steep = steepness(fine, [2 * row], cols, PITCH_MM / 2, share)[0]
+        steep = steepness(fine, [2 * row], cols, bench.PITCH_MM / 2, share)[0]
         ratios.append(steep / coarse)
         step = np.ptp(true[2 * row, 2 * _FIRST_COL : 2 * last])
         reach.append(np.ptp(frame[row, _FIRST_COL:last]) / step)

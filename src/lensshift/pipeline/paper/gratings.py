@@ -10,17 +10,7 @@ import numpy as np
 from lensshift.camera import TofCamera, TofCapture, named_pattern_px, simulate_tof
 from lensshift.core.arrays import Floats
 from lensshift.core.types import Burst
-from lensshift.pipeline.paper.bench import (
-    CARD_LIGHT,
-    PITCH_MM,
-    PUBLISHED,
-    SHIFT_ERROR_PX,
-    SNR,
-    Response,
-    paper_camera,
-    px_to_m,
-    solved,
-)
+from lensshift.pipeline.paper import bench
 from lensshift.scene import Plane, Scene
 from lensshift.scene.targets import CARD_DISTANCE_M, SLANT_RAD
 
@@ -49,19 +39,19 @@ class GratingRun:
     modulation: dict[str, float]
 
 
-def pictures(lens: Burst, sensor: Burst, response: Response) -> dict[str, Floats]:
+def pictures(lens: Burst, sensor: Burst, response: bench.Response) -> dict[str, Floats]:
     """Return what edges and gratings are measured in: a frame, and all reconstructions."""
     alone = lens.select((0,))
-    images = {"one frame": np.asarray(lens.amplitude[0]), "bicubic": solved(alone, "bicubic")}
+    images = {"one frame": np.asarray(lens.amplitude[0]), "bicubic": bench.solved(alone, "bicubic")}
     for kind, (method, published) in SOLVERS.items():
         burst = lens if kind.startswith("lens") else sensor
-        images[kind] = solved(burst, method, PUBLISHED if published else response)
+        images[kind] = bench.solved(burst, method, bench.PUBLISHED if published else response)
     return images
 
 
 def grating(frequency_lpmm: float, phase_rad: float) -> Scene:
     """Return a wall with a sine wave across the direction of the edge, over the whole sensor."""
-    along = _turn(frequency_lpmm / px_to_m(1.0, CARD_DISTANCE_M) * PITCH_MM)
+    along = _turn(frequency_lpmm / bench.px_to_m(1.0, CARD_DISTANCE_M) * bench.PITCH_MM)
 
     def reflectance(x_m: Floats, y_m: Floats) -> Floats:
         return _MEAN * (1.0 + _CONTRAST * np.cos(along[1] * x_m + along[0] * y_m + phase_rad))
@@ -89,19 +79,21 @@ def read_grating(
         indexing="ij",
     )
     inside = (np.abs(row) < 0.5 * rows / scale - _BORDER_PX) & (np.abs(col) < _HALF_COLS)
-    along = _turn(frequency_lpmm * PITCH_MM * stretch)
+    along = _turn(frequency_lpmm * bench.PITCH_MM * stretch)
     phase = (along[0] * row + along[1] * col)[inside] + phase_rad
     basis = np.stack([np.ones(phase.size), np.cos(phase), -np.sin(phase)], axis=1)
     level, wave, _ = np.linalg.lstsq(basis, image[inside], rcond=None)[0]
     return float(wave / level / _CONTRAST)
 
 
-def take_grating(frequency_lpmm: float, seed: int, response: Response = PUBLISHED) -> GratingRun:
+def take_grating(
+    frequency_lpmm: float, seed: int, response: bench.Response = bench.PUBLISHED
+) -> GratingRun:
     """Simulate a grating with both ways of shifting, as the edge card, and read all images."""
     phase_rad = _phase_rad(seed)
     lens, sensor = (
-        _capture(frequency_lpmm, seed, "square", paper_camera(
-            SNR, CARD_LIGHT, CARD_LIGHT, optics="petzval_a", element=element
+        _capture(frequency_lpmm, seed, "square", bench.paper_camera(
+            bench.SNR, bench.CARD_LIGHT, bench.CARD_LIGHT, optics="petzval_a", element=element
         )) for element in (0, None)
     )  # fmt: skip
     stretch = _stretch(lens.truth.amplitude, frequency_lpmm, phase_rad, 2)
@@ -122,12 +114,12 @@ def take_grating(frequency_lpmm: float, seed: int, response: Response = PUBLISHE
 
 
 def grating_of(
-    camera: TofCamera, pattern: str, scale: int, frequency_lpmm: float, response: Response,
-    *, shift_error_px: float = SHIFT_ERROR_PX, seed: int = 0,
+    camera: TofCamera, pattern: str, scale: int, frequency_lpmm: float, response: bench.Response,
+    *, shift_error_px: float = bench.SHIFT_ERROR_PX, seed: int = 0,
 ) -> float:  # fmt: skip
     """Return what the default leaves of a grating that a camera with a plain lens saw."""
     capture = _capture(frequency_lpmm, seed, pattern, camera, scale, shift_error_px)
-    image = solved(capture.burst, "auto", response, scale)
+    image = bench.solved(capture.burst, "auto", response, scale)
     return read_grating(image, frequency_lpmm, _phase_rad(seed), scale=scale)
 
 
@@ -146,7 +138,7 @@ def frequencies(runs: list[GratingRun]) -> Floats:
 
 def _capture(
     frequency_lpmm: float, seed: int, pattern: str, camera: TofCamera, scale: int = 2,
-    shift_error_px: float = SHIFT_ERROR_PX,
+    shift_error_px: float = bench.SHIFT_ERROR_PX,
 ) -> TofCapture:  # fmt: skip
     return simulate_tof(
         grating(frequency_lpmm, _phase_rad(seed)), camera, named_pattern_px(pattern), scale=scale,
