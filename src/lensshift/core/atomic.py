@@ -21,7 +21,7 @@ def written_whole(path: str | Path) -> Iterator[Path]:
     file that already had the name is left as it was. DataError if the folder is missing, the name
     cannot be written or the disk is full.
     """
-    try:
+    with writing(path):
         target = writable_target(path)
         temporary = target.parent / f".lensshift-{secrets.token_hex(8)}{target.suffix}"
         try:
@@ -29,6 +29,13 @@ def written_whole(path: str | Path) -> Iterator[Path]:
             temporary.replace(target)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """Make what the system refuses in the block a `DataError` that names the file."""
+    try:
+        yield
     except OSError as error:
         raise DataError(f"cannot write: {error.strerror or error}", source=path) from error
 

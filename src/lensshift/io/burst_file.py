@@ -67,9 +67,10 @@ def save_burst(burst: Burst, path: str | Path) -> None:
 
 
 def _attributes(burst: Burst) -> dict[str, Any]:
+    known = burst.modulation_hz
     return {
         "pitch_mm": np.asarray(burst.grid.pitch_mm, dtype=np.float64),
-        "modulation_hz": _frequencies(burst),
+        "modulation_hz": None if known is None else np.asarray(known, dtype=np.float64)[()],
         "offset_source": writer.sealed_text(burst.offset_source),
         "meta": writer.sealed_text(writer.to_json(burst.meta, "meta")),
         **intrinsics_attributes(burst.intrinsics),
@@ -151,16 +152,18 @@ def write_recording(path: str | Path, frame_count: int, parts: Iterable[Burst]) 
     file, at, kind = None, 0, None
     try:
         for part in parts:
-            variables = _recorded(part)
+            found = _variables(replace(part, raw={}, phasors=None))
+            each = {name: one for name, one in found.items() if one.dims[0] == "frame" != name}
+            its_kind = part.grid.pitch_mm, part.modulation_hz
             if file is None:
-                file, kind = _begun(path, frame_count, part, variables), _kind(part)
-            if _kind(part) != kind:
-                problem = f"expected a pitch and modulation of {kind}, got {_kind(part)}"
+                file, kind = _begun(path, frame_count, part, each), its_kind
+            if its_kind != kind:
+                problem = f"expected a pitch and modulation of {kind}, got {its_kind}"
                 raise DataError(problem, field=f"frame {at}", source=path)
             if at + part.frame_count > frame_count:
                 raise DataError(f"expected {frame_count} frames, got more", source=path)
             # Also what is there, which may be of other frames.
-            file.write(at, {name: np.asarray(one.values) for name, one in variables.items()})
+            file.write(at, {name: np.asarray(one.values) for name, one in each.items()})
             at += part.frame_count
         if file is None or at < frame_count:
             raise DataError(f"expected {frame_count} frames, got {at}", source=path)
@@ -170,28 +173,15 @@ def write_recording(path: str | Path, frame_count: int, parts: Iterable[Burst]) 
             file.close()
 
 
-def _kind(part: Burst) -> tuple[Any, ...]:
-    return part.grid.pitch_mm, part.modulation_hz
-
-
-def _recorded(part: Burst) -> dict[str, writer.Variable]:
-    """Return what each frame of a part has, as the file keeps it."""
-    variables = _variables(replace(part, raw={}, phasors=None))
-    return {name: one for name, one in variables.items() if one.dims[0] == "frame"
-            and name != "frame"}  # fmt: skip
-
-
 def _begun(
     path: str | Path, frame_count: int, part: Burst, variables: Mapping[str, writer.Variable]
 ) -> PiecewiseFile:
     if part.phasors is not None:
         raise DataError("phasors of several frequencies are not recorded in parts", source=path)
-    space = {
-        name: replace(
-            one, values=writer.Allocated((frame_count, *one.values.shape[1:]), one.values.dtype)
-        )
-        for name, one in variables.items()
-    }
+    space = {}
+    for name, one in variables.items():
+        values = writer.Allocated((frame_count, *one.values.shape[1:]), one.values.dtype)
+        space[name] = replace(one, values=values)
     space |= intrinsics_variables(part.intrinsics) | writer.pixel_centres(part.grid.shape)
     attributes = _attributes(part)
     told = repr((attributes, part.intrinsics)).encode()  # may be too long for one attribute
@@ -250,22 +240,12 @@ def _variables(burst: Burst) -> dict[str, writer.Variable]:
         variables["affine"] = writer.measured(("frame", "axis", "along"), burst.affine, "1", label)
     if burst.time_s is not None:
         variables["time"] = writer.measured(("frame",), burst.time_s, "s", "time of the frame")
-    for name, values in burst.raw.items():
-        variables[f"{_RAW}{name}"] = writer.Variable(_raw_axes(burst, name, values), values)
+    for name, values in burst.raw.items():  # of the size of the images, or another
+        own = ("frame", *(f"{name}_{axis}" for axis in range(1, values.ndim)))
+        dims = _AXES if values.shape == burst.amplitude.shape else own
+        variables[f"{_RAW}{name}"] = writer.Variable(dims, values)
     variables |= intrinsics_variables(burst.intrinsics)
     variables["frame"] = writer.Variable(
         ("frame",), np.arange(burst.frame_count, dtype=np.int32), {"long_name": "frame number"}
     )
     return variables | writer.pixel_centres(burst.grid.shape)
-
-
-def _raw_axes(burst: Burst, name: str, values: NDArray[Any]) -> tuple[str, ...]:
-    """Return the dimensions of what a camera sent: those of the images, or its own."""
-    if values.shape == burst.amplitude.shape:
-        return _AXES
-    return ("frame", *(f"{name}_{axis}" for axis in range(1, values.ndim)))
-
-
-def _frequencies(burst: Burst) -> Any:
-    known = burst.modulation_hz
-    return np.asarray(known) if isinstance(known, tuple) else known and np.float64(known)

@@ -31,18 +31,17 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
 def calibration_content(calibration: Calibration) -> dict[str, Any]:
     """Return what a calibration file says: plain text, numbers and lists."""
     stage_map = calibration.stage_map
-    content: dict[str, Any] = {
+    content = {
         "schema": SCHEMA,
         "source": calibration.source,
-        "px_per_mm": stage_map.px_per_mm.tolist(),
-        "px_per_mm_sigma": _listed(calibration.px_per_mm_sigma),
+        "px_per_mm": stage_map.px_per_mm,
+        "px_per_mm_sigma": calibration.px_per_mm_sigma,
         "sigma_px": stage_map.sigma_px,
+        **{name: getattr(calibration, name) for name in (*_PAIRS, *_NUMBERS)},
+        "notes": dict(calibration.notes),
+        "field_px_per_mm": stage_map.field_px_per_mm,
     }
-    content |= {name: getattr(calibration, name).tolist() for name in _PAIRS}
-    content |= {name: getattr(calibration, name) for name in _NUMBERS}
-    content["notes"] = dict(calibration.notes)
-    content["field_px_per_mm"] = _listed(stage_map.field_px_per_mm)
-    return content
+    return {k: one.tolist() if isinstance(one, np.ndarray) else one for k, one in content.items()}
 
 
 def load_calibration(path: str | Path) -> Calibration:
@@ -83,7 +82,3 @@ def _array(content: dict[str, Any], name: str, axes: int) -> Any:
     if not np.all(np.isfinite(numbers)):
         raise DataError("expected finite numbers", field=name)
     return numbers if axes else float(numbers)
-
-
-def _listed(values: Any) -> Any:
-    return None if values is None else np.asarray(values).tolist()

@@ -15,7 +15,7 @@ import os
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import MISSING, dataclass, field, fields
 from io import BytesIO
 from pathlib import Path
@@ -24,7 +24,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 
 from lensshift.core.arrays import Array
-from lensshift.core.atomic import GrowingFile, writable_target
+from lensshift.core.atomic import GrowingFile, writable_target, writing
 from lensshift.core.errors import DataError
 from lensshift.core.settings import parse_json
 from lensshift.core.types import FRAME_FIELDS, Burst
@@ -109,10 +109,8 @@ class CaptureWriter(GrowingFile):
         target = writable_target(path)
         if not is_capture(target):
             raise DataError("expected an unfinished capture", source=path)
-        try:
+        with writing(path):
             file = target.open("r+b", buffering=0)
-        except OSError as error:
-            raise DataError(f"cannot write: {error.strerror}", source=path) from error
         with ExitStack() as undo:
             undo.callback(file.close)
             lock(file, target)
@@ -135,17 +133,11 @@ class CaptureWriter(GrowingFile):
         try:
             self._put(memoryview(head + bytes(payload)))
         except OSError as error:
-            self._cut(start)
+            with suppress(OSError):  # readers skip half a record anyway
+                self._file.seek(start)
+                self._file.truncate(start)
             problem = f"cannot write: {error.strerror}; the {len(self.frames)} frames before are"
             raise DataError(f"{problem} kept", source=self.path) from error
-
-    def _cut(self, length: int) -> None:
-        """Take back half a record; readers skip it anyway where that fails."""
-        try:
-            self._file.seek(length)
-            self._file.truncate(length)
-        except OSError:
-            return
 
 
 def refuse_taken(path: str | Path) -> None:
@@ -157,30 +149,26 @@ def refuse_taken(path: str | Path) -> None:
 
 def _new_file(path: str | Path) -> tuple[Path, BinaryIO]:
     target = writable_target(path)
-    try:
-        return target, target.open("xb", buffering=0)
-    except FileExistsError as error:
-        problem = "there is a file of this name; resume it or choose another name"
-        raise DataError(problem, source=path) from error
-    except OSError as error:
-        raise DataError(f"cannot write: {error.strerror}", source=path) from error
+    with writing(path):
+        try:
+            return target, target.open("xb", buffering=0)
+        except FileExistsError as error:
+            problem = "there is a file of this name; resume it or choose another name"
+            raise DataError(problem, source=path) from error
 
 
 def is_capture(path: str | Path) -> bool:
     """Tell whether a file is the journal of a capture; a pipe, which would block, is none."""
-    try:
-        if not Path(path).is_file():
-            return False
-        with Path(path).open("rb") as file:
-            return file.read(len(_MARK)) == _MARK
-    except OSError:
-        return False
+    with suppress(OSError):
+        if Path(path).is_file():
+            with Path(path).open("rb") as file:
+                return file.read(len(_MARK)) == _MARK
+    return False
 
 
 def read_capture(path: str | Path) -> tuple[dict[str, Any], list[FrameRecord]]:
     """Return header and frames of a journal, also of a growing one; DataError if it is none."""
-    header, frames, _ = _records(Path(path))
-    return header, frames
+    return _records(Path(path))[:2]
 
 
 def burst_of_capture(
@@ -230,16 +218,13 @@ def _records(path: Path) -> tuple[dict[str, Any], list[FrameRecord], int]:
     header = parse_json(payloads[0], path, "header")
     if header.get("schema") != _SCHEMA:
         raise DataError(f"expected schema {_SCHEMA}", field="schema", source=path)
-    with reading(path, "frames"):
-        frames = [_unpacked(payload) for payload in payloads[1:]]
+    frames = []
+    for one in payloads[1:]:
+        with reading(path, "frames"), np.load(BytesIO(one), allow_pickle=False) as arrays:
+            if unpacked_bytes(arrays) > len(one):  # the writer does not compress
+                raise DataError("a frame claims to hold more than is stored")
+            frames.append(FrameRecord.of_arrays({name: arrays[name] for name in arrays.files}))
     return header, frames, end
-
-
-def _unpacked(payload: bytes) -> FrameRecord:
-    with np.load(BytesIO(payload), allow_pickle=False) as arrays:
-        if unpacked_bytes(arrays) > len(payload):  # the writer does not compress
-            raise DataError("a frame claims to hold more than is stored")
-        return FrameRecord.of_arrays({name: arrays[name] for name in arrays.files})
 
 
 def lock(file: BinaryIO, path: Path) -> None:

@@ -74,8 +74,7 @@ class Content:
 
 def refuse_other_ending(path: str | Path) -> None:
     """Raise a `DataError` if a name promises another format to whoever opens the file."""
-    ending = Path(path).suffix.lower()
-    if ending in _OTHERS:
+    if Path(path).suffix.lower() in _OTHERS:
         raise DataError(
             "expected a name that ends in .nc, for a netCDF file is written; export_burst and "
             "export_reconstruction of lensshift.io write others",
@@ -100,7 +99,7 @@ def write_hdf5(content: Content, target: BytesIO | Path, path: str | Path) -> No
 
     with naming(path):
         lengths = _dimension_lengths(content.variables)
-    attributes = {
+    attributes = _known({
         "NX_class": "NXdata",
         "signal": next(iter(content.variables)),
         "axes": list(content.axes),
@@ -108,13 +107,13 @@ def write_hdf5(content: Content, target: BytesIO | Path, path: str | Path) -> No
         "schema": sealed_text(content.schema),
         "software": f"lensshift {_version()}",
         **content.attributes,
-    }
+    })  # fmt: skip
     with h5netcdf.File(target, "w", libver=_LIBVER) as file:
-        _set_attributes(file.attrs, {**attributes, "NX_class": "NXroot", "default": "entry"})
+        file.attrs.update({**attributes, "NX_class": "NXroot", "default": "entry"})
         entry = file.create_group("entry")
-        _set_attributes(entry.attrs, {"NX_class": "NXentry", "default": "data"})
+        entry.attrs.update({"NX_class": "NXentry", "default": "data"})
         data = entry.create_group("data")
-        _set_attributes(data.attrs, attributes)
+        data.attrs.update(attributes)
         data.dimensions = lengths
         for name, variable in content.variables.items():
             _write_variable(data, name, variable)
@@ -177,24 +176,24 @@ def _dimension_lengths(variables: Mapping[str, Variable]) -> dict[str, int]:
     return lengths
 
 
+def _known(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in attributes.items() if value is not None}
+
+
 def _write_variable(data: Any, name: str, variable: Variable) -> None:
-    if isinstance(variable.values, Allocated):
-        written = data.create_variable(name, variable.dims, variable.values.dtype)
-        written[(-1,) * variable.values.ndim] = 0  # takes all the space
-        _set_attributes(written.attrs, variable.attributes)
-        return
-    values = variable.values.astype(variable.values.dtype.newbyteorder("="), copy=False)
-    compression = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-    written = data.create_variable(
-        name,
-        variable.dims,
-        values.dtype,
-        data=values,
-        chunks=_chunk_shape(values.shape, values.dtype.itemsize),
-        fletcher32=True,
-        **(compression if values.ndim > 1 else {}),
-    )
-    _set_attributes(written.attrs, variable.attributes)
+    values = variable.values
+    if isinstance(values, Allocated):
+        written = data.create_variable(name, variable.dims, values.dtype)
+        written[(-1,) * values.ndim] = 0  # takes all the space
+    else:
+        values = values.astype(values.dtype.newbyteorder("="), copy=False)
+        compression = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+        chunks = _chunk_shape(values.shape, values.dtype.itemsize)
+        written = data.create_variable(
+            name, variable.dims, values.dtype, data=values, chunks=chunks, fletcher32=True,
+            **(compression if values.ndim > 1 else {}),
+        )  # fmt: skip
+    written.attrs.update(_known(variable.attributes))
 
 
 def _chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
@@ -205,12 +204,6 @@ def _chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
         chunk.append(max(1, min(length, left)))
         left = max(1, left // length)
     return tuple(reversed(chunk))
-
-
-def _set_attributes(target: Any, attributes: Mapping[str, Any]) -> None:
-    for name, value in attributes.items():
-        if value is not None:
-            target[name] = value
 
 
 def _plain(value: Any) -> Any:

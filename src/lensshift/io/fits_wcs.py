@@ -114,12 +114,7 @@ def _moved(cards: Mapping[str, Any] | None, offset_px: Any, scale: int) -> Heade
         setattr(told.wcs, step, getattr(told.wcs, step) / scale)
         if told.sip is not None:  # polynomials of the distance from there
             bent = [getattr(told.sip, name) for name in ("a", "b", "ap", "bp")]
-            told.sip = Sip(*(_scaled(one, scale) for one in bent), told.wcs.crpix)
+            bent = [one if one is None else one * float(scale) ** (1 - np.indices(one.shape).sum(0))
+                    for one in bent]  # fmt: skip
+            told.sip = Sip(*bent, told.wcs.crpix)
         return told.to_header(relax=True)
-
-
-def _scaled(coefficients: Any, scale: int) -> Any:
-    if coefficients is None:
-        return None
-    row, col = np.indices(coefficients.shape)
-    return coefficients * float(scale) ** (1 - row - col)

@@ -75,30 +75,25 @@ def _table(cloud: PointCloud, normal_names: tuple[str, ...]) -> NDArray[Any]:
 
 def _ply_header(table: NDArray[Any]) -> str:
     kinds = table.dtype
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment metres; x right, y down, z forward from the camera",
-        f"element vertex {len(table)}",
-        *(f"property {_PLY_TYPES[kinds[name].kind]} {name}" for name in kinds.names or ()),
-        "end_header",
-    ]
-    return "\n".join(lines) + "\n"
+    columns = (f"property {_PLY_TYPES[kinds[name].kind]} {name}\n" for name in kinds.names or ())
+    return (
+        "ply\nformat binary_little_endian 1.0\n"
+        "comment metres; x right, y down, z forward from the camera\n"
+        f"element vertex {len(table)}\n{''.join(columns)}end_header\n"
+    )
 
 
 def _pcd_header(table: NDArray[Any]) -> str:
     kinds = [(name, table.dtype[name]) for name in table.dtype.names or ()]
-    lines = [
-        "# .PCD v0.7 - Point Cloud Data file format",
-        "VERSION 0.7",
-        "FIELDS " + " ".join(name for name, _ in kinds),
-        "SIZE " + " ".join(str(kind.itemsize) for _, kind in kinds),
-        "TYPE " + " ".join(kind.kind.upper() for _, kind in kinds),
-        "COUNT " + " ".join("1" for _ in kinds),
-        f"WIDTH {len(table)}",
-        "HEIGHT 1",
-        "VIEWPOINT 0 0 0 1 0 0 0",
-        f"POINTS {len(table)}",
-        "DATA binary",
-    ]
-    return "\n".join(lines) + "\n"
+    columns = {
+        "FIELDS": [name for name, _ in kinds],
+        "SIZE": [str(kind.itemsize) for _, kind in kinds],
+        "TYPE": [kind.kind.upper() for _, kind in kinds],
+        "COUNT": ["1" for _ in kinds],
+    }
+    return (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n"
+        + "".join(f"{key} {' '.join(each)}\n" for key, each in columns.items())
+        + f"WIDTH {len(table)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(table)}\n"
+        "DATA binary\n"
+    )

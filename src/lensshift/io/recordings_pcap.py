@@ -62,9 +62,9 @@ def read_packets(file: BinaryIO, name: str) -> Iterator[Packet]:
         warn_quality(f"{name}: the file is cut off after {count} packets", 3)
 
 
-def _take(file: BinaryIO, size: int) -> bytes:
+def _take(file: BinaryIO, size: int, *, or_none: bool = False) -> bytes:
     data = file.read(size)
-    if len(data) < size:
+    if len(data) < size and not (or_none and not data):
         raise _CutOffError
     return data
 
@@ -78,9 +78,7 @@ def _pcap(file: BinaryIO, order: str, tick_s: float) -> Iterator[Packet]:
     head = _take(file, 20)
     link = int(struct.unpack(order + "I", head[16:])[0]) & 0xFFFF  # above: check sums
     record = struct.Struct(order + "4I")
-    while data := file.read(record.size):
-        if len(data) < record.size:
-            raise _CutOffError
+    while data := _take(file, record.size, or_none=True):
         seconds, ticks, size, _ = record.unpack(data)
         _check_size(size, 0, file.tell())
         yield Packet(seconds + ticks * tick_s, link, _take(file, size))
@@ -99,14 +97,12 @@ def _pcapng(file: BinaryIO) -> Iterator[Packet]:
     kind = _SECTION
     while kind:
         size_bytes = _take(file, 4)
+        read = 8
         if kind == _SECTION:
             magic = _take(file, 4)
             if magic not in _ORDERS:
                 raise DataError(f"damaged: byte order {magic!r}", field="section")
-            order, interfaces = _ORDERS[magic], []
-            read = 12
-        else:
-            read = 8
+            order, interfaces, read = _ORDERS[magic], [], 12
         size = int(struct.unpack(order + "I", size_bytes)[0])
         _check_size(size, read + 4, file.tell())
         body = _take(file, size - read)
@@ -118,9 +114,7 @@ def _pcapng(file: BinaryIO) -> Iterator[Packet]:
             interfaces.append(_interface(body[:-4], order))
         elif number in (_ENHANCED, _PACKET, _SIMPLE):
             yield _packet(body[:-4], order, number, interfaces)
-        kind = file.read(4)
-        if 0 < len(kind) < 4:
-            raise _CutOffError
+        kind = _take(file, 4, or_none=True)
 
 
 def _interface(body: bytes, order: str) -> _Interface:
@@ -240,8 +234,7 @@ class UdpReader:
         if not 8 <= size <= len(body):
             self.cut += 1
             return None
-        address = ".".join(str(one) for one in source)
-        return Datagram(time_s, (address, from_port), to_port, body[8:size])
+        return Datagram(time_s, (socket.inet_ntoa(source), from_port), to_port, body[8:size])
 
 
 def ip_start(link: int, data: bytes) -> int | None:
@@ -253,11 +246,8 @@ def ip_start(link: int, data: bytes) -> int | None:
         return 4 if data[:4] in (b"\2\0\0\0", b"\0\0\0\2") else None
     if link == _LINUX_COOKED_2:
         return 20 if data[:2] == b"\x08\x00" else None
-    if link == _LINUX_COOKED:
-        at = 14
-    elif link == _ETHERNET:
-        at = 12
-    else:
+    at = {_LINUX_COOKED: 14, _ETHERNET: 12}.get(link)
+    if at is None:
         return None
     kind = int.from_bytes(data[at : at + 2], "big")
     while kind in _VLAN_TAGS:

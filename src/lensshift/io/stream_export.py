@@ -32,31 +32,23 @@ _NEEDED = "this format needs a library: pip install "
 _FRAME = "lensshift_optical"
 _LATEST_S = 2.0**31 - 1  # builtin_interfaces/Time
 _FLOAT32 = 7  # sensor_msgs/PointField
+_START = "std_msgs/Header header\nuint32 height\nuint32 width\n"
+_PART = "=" * 80 + "\nMSG: "  # a message within one
 _HEADER = (
-    "================================================================================\n"
-    "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-    "================================================================================\n"
-    "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    f"{_PART}std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    f"{_PART}builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 )
-_IMAGE = (
-    "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\n"
-    "uint8 is_bigendian\nuint32 step\nuint8[] data\n" + _HEADER
-)
-_CAMERA_INFO = (
-    "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\n"
-    "float64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\n"
-    "sensor_msgs/RegionOfInterest roi\n" + _HEADER +
-    "================================================================================\n"
-    "MSG: sensor_msgs/RegionOfInterest\nuint32 x_offset\nuint32 y_offset\nuint32 height\n"
-    "uint32 width\nbool do_rectify\n"
-)  # fmt: skip
-_POINTS = (
-    "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\n"
-    "bool is_bigendian\nuint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n"
-    + _HEADER +
-    "================================================================================\n"
-    "MSG: sensor_msgs/PointField\nstring name\nuint32 offset\nuint8 datatype\nuint32 count\n"
-)  # fmt: skip
+_KINDS = {
+    "Image": f"{_START}string encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data\n{_HEADER}",
+    "CameraInfo": f"{_START}string distortion_model\nfloat64[] d\nfloat64[9] k\nfloat64[9] r\n"
+    "float64[12] p\nuint32 binning_x\nuint32 binning_y\nsensor_msgs/RegionOfInterest roi\n"
+    f"{_HEADER}{_PART}sensor_msgs/RegionOfInterest\nuint32 x_offset\nuint32 y_offset\n"
+    "uint32 height\nuint32 width\nbool do_rectify\n",
+    "PointCloud2": f"{_START}sensor_msgs/PointField[] fields\nbool is_bigendian\n"
+    "uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n"
+    f"{_HEADER}{_PART}sensor_msgs/PointField\n"
+    "string name\nuint32 offset\nuint8 datatype\nuint32 count\n",
+}
 
 Write = Callable[[float, Reconstruction], None]
 
@@ -73,22 +65,19 @@ def export_stream(pictures: Iterable[tuple[float, Reconstruction]], path: str | 
     if suffix not in STREAM_SUFFIXES:
         raise ValueError(f"expected a name that ends in .mcap or .rrd, got {Path(path).name!r}")
     writing = _mcap if suffix == ".mcap" else _rerun
-    count = 0
+    number = -1
     with written_whole(path) as temporary, writing(temporary) as write:
         for number, (time_s, picture) in enumerate(pictures):
             write(time_s if math.isfinite(time_s) else float(number), picture)
-            count = number + 1
-    return count
+    return number + 1
 
 
 def _images(picture: Reconstruction) -> dict[str, NDArray[np.float32]]:
     """Return the images of a picture by the name that they get."""
-    found = {}
-    for name, estimate in picture.channels.items():
-        found[name] = np.asarray(estimate.image, np.float32)
+    found = {name: estimate.image for name, estimate in picture.channels.items()}
     if picture.distance_m is not None and picture.distance_m.std is not None:
-        found["std"] = np.asarray(picture.distance_m.std, np.float32)
-    return found
+        found["std"] = picture.distance_m.std
+    return {name: np.asarray(image, np.float32) for name, image in found.items()}
 
 
 def _cloud(picture: Reconstruction) -> PointCloud | None:
@@ -101,10 +90,9 @@ def _mcap(path: Path) -> Iterator[Write]:
     writer_of = of_extra("mcap_ros2.writer", f"{_NEEDED}'lensshift[mcap]'").Writer
     with path.open("wb") as file:
         writer = writer_of(file)
-        kinds = {"Image": _IMAGE, "CameraInfo": _CAMERA_INFO, "PointCloud2": _POINTS}
         schemas = {
             name: writer.register_msgdef(f"sensor_msgs/msg/{name}", text)
-            for name, text in kinds.items()
+            for name, text in _KINDS.items()
         }
 
         def write(time_s: float, picture: Reconstruction) -> None:
@@ -141,18 +129,18 @@ def _messages(picture: Reconstruction, stamp_ns: int) -> Iterator[tuple[str, str
         }  # fmt: skip
     cloud = _cloud(picture)
     if cloud is not None:
-        columns = [*cloud.point_m.T, *(c for c in (cloud.amplitude, cloud.std_m) if c is not None)]
-        names = ["x", "y", "z", *(["amplitude"] if cloud.amplitude is not None else []),
-                 *(["std"] if cloud.std_m is not None else [])]  # fmt: skip
+        named = {**dict(zip("xyz", cloud.point_m.T, strict=True)),
+                 "amplitude": cloud.amplitude, "std": cloud.std_m}  # fmt: skip
+        columns = {name: one for name, one in named.items() if one is not None}
         fields = [
             {"name": name, "offset": 4 * k, "datatype": _FLOAT32, "count": 1}
-            for k, name in enumerate(names)
+            for k, name in enumerate(columns)
         ]
-        step = 4 * len(names)
+        step, places = 4 * len(columns), np.stack([*columns.values()], axis=-1)
         yield "points", "PointCloud2", {
             "header": header, "height": 1, "width": len(cloud), "fields": fields,
             "is_bigendian": False, "point_step": step, "row_step": step * len(cloud),
-            "data": np.stack(columns, axis=-1).astype("<f4").tobytes(), "is_dense": True,
+            "data": places.astype("<f4").tobytes(), "is_dense": True,
         }  # fmt: skip
 
 
