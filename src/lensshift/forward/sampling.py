@@ -181,12 +181,7 @@ def adjoint_separable(
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def forward_field(
-    x: Array,
-    row_start: Starts,
-    row_weight: Array,
-    col_start: Starts,
-    col_weight: Array,
-    out: Array,
+    x: Array, row_start: Starts, row_weight: Array, col_start: Starts, col_weight: Array, out: Array
 ) -> None:
     """Sample the HR image with taps of its own for every LR pixel.
 
@@ -215,12 +210,7 @@ def forward_field(
 
 @njit(cache=True, nogil=True, fastmath=_FAST, error_model="numpy")
 def adjoint_field(
-    y: Array,
-    row_start: Starts,
-    row_weight: Array,
-    col_start: Starts,
-    col_weight: Array,
-    out: Array,
+    y: Array, row_start: Starts, row_weight: Array, col_start: Starts, col_weight: Array, out: Array
 ) -> None:
     """Spread LR pixels over the HR image; the exact adjoint of `forward_field`.
 

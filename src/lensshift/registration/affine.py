@@ -17,6 +17,7 @@ ROUNDS = 30
 LEAST_CORNER_PX = 0.1
 # Frames turn if those that only shift would predict each other so much worse by chance once in:
 CHANCE = 0.01
+_NO_TURN = ((0, 0), (0, 0), (0, 2))  # beside a shift
 
 
 class AffineFit(NamedTuple):
@@ -68,7 +69,7 @@ def affine_motion(frames: Array, valid: Mask, start_px: Shifts, *, reference: in
         levels.append(_halved(*levels[-1]))
     coarsest, *finer = reversed(levels)
     start = np.asarray(start_px)[..., None] / 2 ** len(finer)
-    fit = picture.alternate(*coarsest, _padded(start), reference, ROUNDS)
+    fit = picture.alternate(*coarsest, np.pad(start, _NO_TURN), reference, ROUNDS)
     for seen, known in finer:
         fit = picture.alternate(seen, known, 2 * fit.place_px, reference, ROUNDS)
     own = np.einsum("kii->ki", fit.own).reshape(fit.place_px.shape)[..., 0]
@@ -96,7 +97,7 @@ def turning(frames: Array, valid: Mask, offset_px: Shifts, reference: int = 0) -
     if size * np.abs((first - first[reference])[..., 1:]).sum(axis=2).max() < LEAST_CORNER_PX:
         return None
     shifted = picture.alternate(seen, known, px[..., None], reference)
-    turned = picture.alternate(seen, known, _padded(shifted.place_px), reference, ROUNDS)
+    turned = picture.alternate(seen, known, np.pad(shifted.place_px, _NO_TURN), reference, ROUNDS)
     if not turned.settled:  # noise leads it on, and it follows
         return None
     gain = np.subtract(*(_quarter_errors(seen, known, fit) for fit in (shifted, turned)))
@@ -117,10 +118,6 @@ def _quarter_errors(frames: Array, valid: Mask, fit: picture.Fit) -> Floats:
              / np.maximum(np.sum(weight[part], axis=(1, 2)), 1.0) for part in parts]  # fmt: skip
     fitted = fit.place_px[0].size / np.maximum(weight.sum(axis=(1, 2)), fit.place_px[0].size + 1)
     return np.asarray(np.stack(means, axis=1) / np.sqrt(1 - fitted)[:, None])
-
-
-def _padded(place_px: picture.Places) -> picture.Places:
-    return np.concatenate([place_px, np.zeros((*place_px.shape[:2], 2))], axis=2)
 
 
 def _halved(frames: Array, valid: Mask) -> tuple[Array, Mask]:

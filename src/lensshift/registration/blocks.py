@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
+from lensshift.core.threads import bands
 from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit, likely_shifts
 
 # Frames and validity of a part of the sensor -> offsets and their standard errors.
@@ -33,15 +35,11 @@ def blocks_of(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
         split = (4, 1)
     if rows // split[0] < LEAST_BLOCK_PX or cols // split[1] < LEAST_BLOCK_PX:
         return []
-    edges = [
-        np.linspace(0, size, parts + 1).astype(int)
+    down, across = (
+        [slice(*ends) for ends in bands(size, parts)]
         for size, parts in zip(shape, split, strict=True)
-    ]
-    return [
-        (slice(edges[0][i], edges[0][i + 1]), slice(edges[1][j], edges[1][j + 1]))
-        for i in range(split[0])
-        for j in range(split[1])
-    ]
+    )
+    return list(product(down, across))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -185,10 +185,7 @@ def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Floats]:
     # Where the frames tell nothing, a shift is known to be some pixels at most.
     found = with_given(found, burst.offset_px - burst.offset_px[0], None, said=False)
     burst = replace(
-        burst,
-        offset_px=found.offset_px,
-        offset_sigma_px=found.sigma_px,
-        offset_source="registered",
+        burst, offset_px=found.offset_px, offset_sigma_px=found.sigma_px, offset_source="registered"
     )
     return burst, found.covariance_px2
 

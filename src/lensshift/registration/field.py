@@ -42,12 +42,9 @@ def fit_field(
     away_mm : [frame 2] where the stage really was, against rest
     known_px : [axis frame row col] what is known of how each pixel shifts further
     """
-    frames = np.real(
-        np.abs(burst.amplitude) if np.iscomplexobj(burst.amplitude) else burst.amplitude
-    )
-    frames = frames.astype(np.float64)
+    frames = np.abs(burst.amplitude) if np.iscomplexobj(burst.amplitude) else burst.amplitude
+    frames = np.where(burst.valid, frames, 0.0).astype(np.float64)
     weight = burst.valid.astype(np.float64)
-    frames = np.where(weight > 0, frames, 0.0)
     known_px = np.broadcast_to(known_px, (2, *frames.shape))
     best: Floats | None = None
     order, slip_px = 0, known_px
@@ -55,12 +52,7 @@ def fit_field(
         basis = _basis(burst.grid.shape, trial)
         halves = [
             _coefficients(
-                frames[part],
-                weight[part],
-                offset_px[part],
-                away_mm[part],
-                basis,
-                known_px[:, part],
+                frames[part], weight[part], offset_px[part], away_mm[part], basis, known_px[:, part]
             )
             for part in (slice(0, None, 2), slice(1, None, 2))
         ]

@@ -66,12 +66,11 @@ class ShiftFit:
 
 def against_reference(own: Array, reference: int) -> Floats:
     """Return the covariance of differences from the reference, from [frame 2 2] of each alone."""
-    count = len(own)
+    count, at = len(own), slice(2 * reference, 2 * reference + 2)
     covariance = np.kron(np.ones((count, count)), own[reference])
     for k in range(count):
         covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own[k]
-    covariance[2 * reference : 2 * reference + 2] = 0.0
-    covariance[:, 2 * reference : 2 * reference + 2] = 0.0
+    covariance[at] = covariance[:, at] = 0.0
     return covariance
 
 

@@ -61,7 +61,8 @@ def phase_correlation(reference: Array, frame: Array) -> Shifts:
             f"{frame.shape}"
         )
     low = BANDS_CYCLES_PER_PX[0]
-    peak_px = _peak(_score(reference, frame, low))
+    score = _score(reference, frame, low)
+    peak_px = _at_peak(score, np.array(np.unravel_index(int(np.argmax(score)), score.shape)))
     found_px = _refined(reference, frame, peak_px, low)
     left = _misfit(reference, frame, found_px)
     if np.any(np.rint(peak_px)):
@@ -116,8 +117,7 @@ def phase_shifts(frames: Array, reference: int) -> Shifts:
 
 def phase_fit(frames: Array, valid: Mask, phase_px: Shifts, reference: int) -> ShiftFit:
     """Return phase correlation with one standard error for all, from parts of the sensor."""
-    count = len(frames)
-    unit_px = np.ones((count, 2))
+    unit_px = np.ones((len(frames), 2))
     unit_px[reference] = 0.0
 
     # Four parts scatter twice as much as the whole.
@@ -125,9 +125,8 @@ def phase_fit(frames: Array, valid: Mask, phase_px: Shifts, reference: int) -> S
         return phase_shifts(part, reference), 2.0 * PHASE_SIGMA_PX * unit_px
 
     factor = scatter_over_blocks(estimate, frames, valid, phase_px).factor
-    sigma_px = PHASE_SIGMA_PX * factor * unit_px
-    covariance = np.diag(sigma_px.ravel() ** 2)
-    return ShiftFit(phase_px, covariance, np.ones(count), 0.0, True)
+    covariance = np.diag((PHASE_SIGMA_PX * factor * unit_px).ravel() ** 2)
+    return ShiftFit(phase_px, covariance, np.ones(len(frames)), 0.0, True)
 
 
 def rival_shifts(frames: Array, offset_px: Shifts, reference: int) -> Shifts:
@@ -169,16 +168,8 @@ def _peaks(score: Array) -> NDArray[np.intp]:
 
 def _windowed(image: Array) -> Array:
     """Return the image without its mean under a Hann window, which hides the borders."""
-    rows, cols = (np.hanning(size + 2)[1:-1] for size in image.shape)
-    window = rows[:, None] * cols
-    mean = np.sum(window * image) / np.sum(window)
-    tapered: Array = window * (image - mean)
-    return tapered
-
-
-def _peak(score: Array) -> Shifts:
-    """Return the shift of the highest peak of the correlation."""
-    return _at_peak(score, np.array(np.unravel_index(int(np.argmax(score)), score.shape)))
+    window = np.outer(*(np.hanning(size + 2)[1:-1] for size in image.shape))
+    return np.asarray(window * (image - np.average(image, weights=window)))
 
 
 def _at_peak(score: Array, peak: NDArray[np.intp]) -> Shifts:
@@ -245,5 +236,4 @@ def _plane(first: Array, second: Array, start_px: Shifts, band: float) -> Shifts
 
 def _low_pass(band: float, row: Array, col: Array) -> Array:
     """Return a weight that keeps the frequencies (cycles/px) below a band."""
-    width = 0.5 * band
-    return np.asarray(np.exp(-0.5 * (row**2 + col**2) / width**2))
+    return np.asarray(np.exp(-0.5 * (row**2 + col**2) / (0.5 * band) ** 2))

@@ -130,9 +130,9 @@ def _splines(size: int, offset_px: float, all_px: Floats) -> tuple[Any, Any]:
 
 def _slopes(knots: Floats, groups: list[_Group]) -> Floats:
     """Return the derivatives of the spline in each frame, [axis frame row col]."""
-    down = np.concatenate([one.seen(knots, down=1) for one in groups])
-    right = np.concatenate([one.seen(knots, right=1) for one in groups])
-    return np.stack([down, right])
+    return np.stack(
+        [np.concatenate([one.seen(knots, *axis) for one in groups]) for axis in ((1, 0), (0, 1))]
+    )
 
 
 def _fitted(frames: Floats, weight: Floats, groups: list[_Group], start: Floats) -> Floats:
@@ -158,7 +158,6 @@ def _stiff(knots: Floats) -> Floats:
     """Return the gradient of half the sum of squared second differences along both axes."""
     total = np.zeros_like(knots)
     for axis in (0, 1):
-        bent = np.diff(knots, 2, axis=axis)
-        padded = np.pad(bent, [(2, 2) if a == axis else (0, 0) for a in (0, 1)])
-        total += np.diff(padded, 2, axis=axis)
+        around = [(2, 2) if a == axis else (0, 0) for a in (0, 1)]
+        total += np.diff(np.pad(np.diff(knots, 2, axis=axis), around), 2, axis=axis)
     return total

@@ -81,7 +81,6 @@ def register(
         without planned offsets), the frames turn or grow though nobody said so, the search
         did not settle, or a frame has less than half of the valid pixels of others.
     """
-    expect_burst(burst)
     _check(burst, method, motion, reference, use_given)
     frames = frames_of(burst, channel)
     everything, kept = burst, _seen(burst, frames)
@@ -112,7 +111,9 @@ def register(
         if method == "gradient":
             fit = _widened(run, frames, valid, fit)
         else:
-            told_px = _against_reference(burst.offset_sigma_px if use_given else None, reference)
+            told_px = burst.offset_sigma_px if use_given else None
+            if told_px is not None:
+                told_px = np.hypot(told_px, told_px[reference])  # of differences from it
             alike = _alike(whole, fit, photometric)
             fit = better_shifts(fit, alike, valid, reference)
             if apart := _scatter_of_few(frames, valid, fit, reference, photometric):
@@ -176,16 +177,12 @@ def _of_all(burst: Burst, kept: NDArray[np.intp], found: dict[str, Any]) -> dict
 
 def frames_of(burst: Burst, channel: str) -> Array:
     """Return the frames of a channel in double precision."""
-    if channel == "amplitude":
-        frames = burst.amplitude
-    elif channel != "distance":
+    if channel not in ("amplitude", "distance"):
         raise ValueError(f'expected channel "amplitude" or "distance", got {channel!r}')
-    elif burst.distance_m is None:
+    frames = burst.amplitude if channel == "amplitude" else burst.distance_m
+    if frames is None:
         raise ValueError("the burst has no distance_m; expected channel amplitude")
-    else:
-        frames = burst.distance_m
-    kind = np.complex128 if frames.dtype.kind == "c" else np.float64
-    return frames.astype(kind)
+    return frames.astype(np.complex128 if frames.dtype.kind == "c" else np.float64)
 
 
 def _scatter_of_few(
@@ -224,6 +221,7 @@ def _turned(
 
 
 def _check(burst: Burst, method: str, motion: str, reference: int, use_given: bool) -> None:
+    expect_burst(burst)
     if method not in METHODS:
         raise ValueError(f"expected a method among {', '.join(METHODS)}, got {method!r}")
     if motion not in get_args(Motion):
@@ -243,11 +241,6 @@ def _check(burst: Burst, method: str, motion: str, reference: int, use_given: bo
         raise ValueError("the burst has no offset_sigma_px that its offsets could be weighed by")
     if use_given and method != "auto":
         raise ValueError(f'expected method "auto" with use_given, got {method!r}')
-
-
-def _against_reference(sigma_px: Shifts | None, reference: int) -> Shifts | None:
-    """Return standard deviations of differences from the reference, None if not known."""
-    return None if sigma_px is None else np.hypot(sigma_px, sigma_px[reference])
 
 
 def _from_best_start(

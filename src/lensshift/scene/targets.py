@@ -136,10 +136,7 @@ def four_boxes() -> Scene:
 def _card(texture: Texture, distance_m: float) -> Scene:
     positive("distance_m", distance_m)
     card = Rectangle(
-        centre_m=(0.0, 0.0, distance_m),
-        size_m=(CARD_M, CARD_M),
-        reflectance=texture,
-        name="card",
+        centre_m=(0.0, 0.0, distance_m), size_m=(CARD_M, CARD_M), reflectance=texture, name="card"
     )
     return Scene((card,), background=_wall(distance_m))
 
