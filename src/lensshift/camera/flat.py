@@ -155,8 +155,7 @@ def pixel_means(
     for first in range(0, rows, rows_at_once):
         last = min(first + rows_at_once, rows)
         places = _sample_places(grid, (first - margin, last + margin), margin, samples, moved)
-        sharp = target(*places)
-        means[first:last] = _binned(sharp, samples, optics_sigma_px, margin)
+        means[first:last] = _binned(target(*places), samples, optics_sigma_px, margin)
     return means
 
 
@@ -164,15 +163,12 @@ def _binned(sharp: Floats, samples: int, optics_sigma_px: float, margin: int) ->
     """Blur samples, take the mean of each pixel and cut the margin off."""
     from scipy.ndimage import gaussian_filter
 
-    seen = sharp
     if optics_sigma_px > 0:
-        seen = gaussian_filter(
-            sharp, optics_sigma_px * samples, mode="nearest", truncate=_KERNEL_SIGMAS
-        )
-    rows, cols = (count // samples for count in seen.shape)
-    means = seen.reshape(rows, samples, cols, samples).mean(axis=(1, 3))
-    inside: Floats = means[margin : rows - margin, margin : cols - margin]
-    return inside
+        sigma = optics_sigma_px * samples
+        sharp = gaussian_filter(sharp, sigma, mode="nearest", truncate=_KERNEL_SIGMAS)
+    rows, cols = (count // samples for count in sharp.shape)
+    means = sharp.reshape(rows, samples, cols, samples).mean(axis=(1, 3))
+    return np.asarray(means[margin : rows - margin, margin : cols - margin])
 
 
 def _sample_places(
@@ -199,5 +195,4 @@ def _expose(image: Floats, sensor: Sensor, rng: np.random.Generator) -> Floats:
     read = rng.normal(0.0, sensor.read_noise_electrons, image.shape)
     top = 2**sensor.bits - 1
     codes = np.rint((electrons + read) / sensor.full_well_electrons * top)
-    exposed: Floats = np.clip(codes, 0, top) / top
-    return exposed
+    return np.asarray(np.clip(codes, 0, top) / top)

@@ -36,10 +36,8 @@ class Footprints:
     @property
     def reach_px(self) -> float:
         """How far beyond its own LR pixel a pixel looks, at most."""
-        if isinstance(self.blur, SpotBlur):
-            blurred_px = self.blur.reach_px
-        else:
-            blurred_px = _REACH_SIGMAS * self.blur
+        blur = self.blur
+        blurred_px = blur.reach_px if isinstance(blur, SpotBlur) else _REACH_SIGMAS * blur
         return float(np.abs(self.offset_px).max()) + blurred_px
 
     def centres_px(self, some: slice) -> Array:
@@ -125,8 +123,7 @@ def _tiles(shape: tuple[int, int], samples: int, margin: int) -> Iterator[_Tile]
 
 def _share(count: int, most: int) -> int:
     """Return the size of equal parts of at most `most`, at least 1."""
-    parts = -(-count // most)
-    return -(-count // parts)
+    return -(-count // -(-count // most))
 
 
 def _cast(
@@ -220,14 +217,10 @@ def _add_through_spots(
     # Points whose squares may hold cells; their first column is that of a pixel.
     apart = tile.samples / one.per_px
     farthest = np.abs(offset).max() + 1.0
-    nodes = [
-        last - first + int(side) + 2 for first, last in zip(tile.first, tile.last, strict=True)
-    ]
-    low = [int(np.floor((-farthest - at) / apart)) for at in begin]
-    high = [
-        int(np.ceil((size + farthest - at) / apart)) for size, at in zip(nodes, begin, strict=True)
-    ]
-    first = points * np.array(low)
+    nodes = np.subtract(tile.last, tile.first) + int(side) + 2
+    low = np.floor((-farthest - begin) / apart).astype(int)
+    high = np.ceil((nodes + farthest - begin) / apart).astype(int)
+    first = points * low
     shape = (points * (high[0] - low[0]) + 1, points, high[1] - low[1] + 1, sums.shape[2])
     means = np.empty(shape, dtype=np.float32)
     lattice_means(sums, side, _nodes_to_a_cell(side), begin, apart, offset, first, means)

@@ -70,15 +70,9 @@ def image_of(reading: Reading, camera: TofCamera) -> Image:
     confidence = 2 * state.astype(np.uint16)
     confidence[~valid] |= _INVALID
     confidence[weak] |= _LOW_SIGNAL
-    factors = _normalization(camera) / fraction
+    # The amplitude of one count for (short, long) exposure at low, then at high gain.
+    exposure = np.resize(readout.exposure_s[-1] / np.asarray(readout.exposure_s), 2)
+    factors = np.ravel(exposure / np.resize(np.asarray(readout.gain), 2)[:, None])
+    factors /= 2 ** ((readout.bits or MOST_BITS) - 1) * fraction
     o3m = O3mImages(distance_cm, words, confidence, factors)
     return Image(words * factors[state], distance_cm / 100.0, valid, o3m)
-
-
-def _normalization(camera: TofCamera) -> Floats:
-    """Return the amplitude of one count for (short, long) exposure at low, then at high gain."""
-    readout = camera.readout
-    exposure = np.resize(readout.exposure_s[-1] / np.asarray(readout.exposure_s), 2)
-    gain = np.resize(np.asarray(readout.gain), 2)
-    per_count = 1.0 / 2 ** ((readout.bits or MOST_BITS) - 1)
-    return np.asarray(per_count * (exposure[None, :] / gain[:, None]).ravel())

@@ -35,9 +35,8 @@ def ambient_electrons_per_s(camera: TofCamera) -> float:
     """Return the electrons per second that sunlight gives a white pixel, 0 without sunlight."""
     if camera.ambient is None:
         return 0.0
-    irradiance = (
-        _SUN_PER_KLX * camera.ambient.illuminance_klx * camera.ambient.filter_width_nm
-    )  # W / m2
+    sun = camera.ambient
+    irradiance = _SUN_PER_KLX * sun.illuminance_klx * sun.filter_width_nm  # W / m2
     return irradiance * _electrons_per_exitance(camera)
 
 

@@ -381,7 +381,7 @@ class TofCamera:
         """Return all settings as text and numbers; a lens by its name."""
         groups = {
             name: _plain(getattr(self, name))
-            for name in (field.name for field in fields(self))
+            for name in self.__dataclass_fields__
             if name not in ("grid", "output", "name")
         }
         return {"camera": self.name, "output": self.output} | groups

@@ -46,11 +46,8 @@ class SpotBlur:
 
     def nodes_at(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
         """Return where places [row], [col] lie between the nodes."""
-        rows, cols = (
-            np.interp(places, nodes, np.arange(len(nodes)))
-            for nodes, places in ((self.row_px, row_px), (self.col_px, col_px))
-        )
-        return rows, cols
+        rows = np.interp(row_px, self.row_px, np.arange(len(self.row_px)))
+        return rows, np.interp(col_px, self.col_px, np.arange(len(self.col_px)))
 
     def otf(self, place_px: Array, cycles_per_px: Array) -> NDArray[np.complex128]:
         """Return the OTF at a place [2] and frequencies [... 2], all (row, col)."""
@@ -184,10 +181,8 @@ class View:
 
     def _straight(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
         rows, cols = self._grid.shape
-        return (
-            (row_px - 0.5 * (rows - 1)) * self.per_px[0],
-            (col_px - 0.5 * (cols - 1)) * self.per_px[1],
-        )
+        down, right = row_px - 0.5 * (rows - 1), col_px - 0.5 * (cols - 1)
+        return down * self.per_px[0], right * self.per_px[1]
 
 
 def _traced_light(lens: Lens, down: Array, right: Array) -> Callable[[Array, Array], Array]:

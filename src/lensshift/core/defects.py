@@ -129,16 +129,13 @@ def doubts_about_frames(
     ----------
     photometric : whether their brightness may differ
     """
-    said = [colour_mosaic(frames, valid)]
-    if not photometric:
-        said.append(unequal_brightness(frames, valid))
-    return [text for text in said if text]
+    brightness = "" if photometric else unequal_brightness(frames, valid)
+    return [text for text in (colour_mosaic(frames, valid), brightness) if text]
 
 
 def copied_frames(frames: Array) -> dict[int, int]:
     """Return which frames [frame row col] are another one bit by bit, noise and all, and which."""
-    first: dict[int, int] = {}
-    found = {}
+    first, found = dict[int, int](), dict[int, int]()
     for number, frame in enumerate(frames):
         before = first.setdefault(hash(frame.tobytes()), number)
         if before < number and np.ptp(frame.real) > 0:

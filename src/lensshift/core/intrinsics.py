@@ -93,11 +93,8 @@ class Pinhole:
         angles = [angle for angle in (width_rad, height_rad) if angle is not None]
         if not all(0 < angle < np.pi for angle in angles):
             raise ValueError(f"expected angles above 0 and below 180 degrees, got {angles} rad")
-        sizes = (grid.shape[1], grid.shape[0])
-        focal_px = [
-            0.5 * size / np.tan(0.5 * angle) for size, angle in zip(sizes, angles, strict=False)
-        ]
-        return cls.centred(grid, *focal_px)
+        both = zip(grid.shape[::-1], angles, strict=False)
+        return cls.centred(grid, *(0.5 * size / np.tan(0.5 * angle) for size, angle in both))
 
     def directions(self, shape: tuple[int, int]) -> Floats:
         """Return the unit direction [row col 3] of every pixel of an image.

@@ -112,7 +112,17 @@ class LensField:
         DataError
             If a state lies outside the range that the field was fitted for.
         """
-        return self._at(self._scaled(np.atleast_2d(np.asarray(state, dtype=np.float64))))
+        given = np.atleast_2d(np.asarray(state, dtype=np.float64))
+        if given.ndim != 2 or given.shape[1] != 2 or not np.all(np.isfinite(given)):
+            raise DataError(f"expected finite states [frame 2], got shape {given.shape}")
+        scaled = given / np.asarray(self.reach)
+        if np.abs(scaled).max(initial=0.0) > _BEYOND:
+            raise DataError(
+                f"expected states up to {_pair(self.reach)} {self.unit}, got up to "
+                f"{np.abs(given).max():g}; make the lens field with a larger reach_px",
+                field="state",
+            )
+        return self._at(scaled)
 
     def states(self, offset_px: ArrayLike) -> Floats:
         """Return the states [frame 2] in mm or rad that move the middle of the image as told.
@@ -136,7 +146,14 @@ class LensField:
             If the field does not belong to the burst: another sensor, lens or moving part, shifts
             that nobody knows, that it was not fitted for, or that contradict the stage.
         """
-        self._check(burst)
+        self.check_camera(burst)
+        if burst.offset_source == "unknown" and burst.frame_count > 1:
+            raise DataError(
+                "nobody has said where the frames of the burst lie; `lensshift register` "
+                "(lensshift.register) finds it from them",
+                field="offset_px",
+            )
+        _check_stage(burst)
         return self._at(self._states_of(burst.offset_px))
 
     @property
@@ -206,19 +223,6 @@ class LensField:
                 break
         return s
 
-    def _scaled(self, state: Floats) -> Floats:
-        """Return states over the reach, after a check that they are within it."""
-        if state.ndim != 2 or state.shape[1] != 2 or not np.all(np.isfinite(state)):
-            raise DataError(f"expected finite states [frame 2], got shape {state.shape}")
-        scaled = state / np.asarray(self.reach)
-        if np.abs(scaled).max(initial=0.0) > _BEYOND:
-            raise DataError(
-                f"expected states up to {_pair(self.reach)} {self.unit}, got up to "
-                f"{np.abs(state).max():g}; make the lens field with a larger reach_px",
-                field="state",
-            )
-        return np.asarray(scaled)
-
     def check_sensor(self, grid: Grid) -> None:
         """Refuse another sensor than the field's own.
 
@@ -251,22 +255,8 @@ class LensField:
             With the option that makes the right field.
         """
         self.check_sensor(burst.grid)
-        self._check_lens(burst.meta.get("optics"))
-
-    def _check(self, burst: Burst) -> None:
-        self.check_camera(burst)
-        if burst.offset_source == "unknown" and burst.frame_count > 1:
-            raise DataError(
-                "nobody has said where the frames of the burst lie; `lensshift register` "
-                "(lensshift.register) finds it from them",
-                field="offset_px",
-            )
-        _check_stage(burst)
-
-    def _check_lens(self, told: Any) -> None:
-        """Refuse what the burst says of its lens, if it says anything else."""
-        objections = self._objections(told) if isinstance(told, Mapping) else iter(())
-        for name, problem, cure in objections:
+        told = burst.meta.get("optics")
+        for name, problem, cure in self._objections(told) if isinstance(told, Mapping) else ():
             raise DataError(f"{problem}; {cure}", field=f"meta.optics{name}")
 
     def _objections(self, told: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:

@@ -33,9 +33,8 @@ def read_text(path: str | Path) -> str:
     """
     path = Path(path)
     if path.exists() and not path.is_file():
-        raise DataError(
-            "cannot be read: expected a file, not a folder, device or pipe", source=path
-        )
+        problem = "expected a file, not a folder, device or pipe"
+        raise DataError(f"cannot be read: {problem}", source=path)
     try:
         if path.stat().st_size > _MAX_TEXT_BYTES:
             raise DataError(f"is too large for a text of settings ({_MAX_TEXT_BYTES} bytes)",

@@ -106,17 +106,13 @@ def brief(value: Any) -> str:
         parts = [f"{name} {text}" for name, one in value.items() if (text := brief(one))]
         return _shortened(", ".join(parts))
     if isinstance(value, tuple | list):
-        return _sequence(value)
+        if len(value) > 4 and all(isinstance(one, float) for one in value):
+            return f"{len(value)} numbers, {value[0]:.6g} to {value[-1]:.6g}"
+        return _shortened(", ".join(brief(one) for one in value))
     if is_dataclass(value) and type(value).__str__ is object.__str__:
         parts = [f"{name} {text}" for name, text in described(value).items()]
         return _shortened(", ".join(parts))
     return _shortened(str(value))
-
-
-def _sequence(values: tuple[Any, ...] | list[Any]) -> str:
-    if len(values) > 4 and all(isinstance(one, float) for one in values):
-        return f"{len(values)} numbers, {values[0]:.6g} to {values[-1]:.6g}"
-    return _shortened(", ".join(brief(one) for one in values))
 
 
 def _array(values: np.ndarray[Any, Any]) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core import burst_checks as checks
 from lensshift.core.arrays import frozen
-from lensshift.core.errors import DataError, warn_quality
+from lensshift.core.errors import DataError, about, warn_quality
 from lensshift.core.frame import Frame as Frame
 from lensshift.core.grid import Grid as Grid
 from lensshift.core.intrinsics import Intrinsics
@@ -183,10 +183,8 @@ class Burst(Shown, AsDataset, AsTable):
         if offset_px is None:
             fields.setdefault("offset_source", "unknown" if len(frames) > 1 else "planned")
         rows, cols = (int(n) for n in frames.shape[1:])
-        try:
+        with about("pitch_mm"):
             grid = Grid((rows, cols), (float(pitch[0]), float(pitch[-1])))
-        except ValueError as error:
-            raise DataError(str(error), field="pitch_mm") from error
         burst = cls(
             amplitude=frames,
             offset_px=np.zeros((len(frames), 2)) if offset_px is None else np.asarray(offset_px),

@@ -6,7 +6,6 @@ import struct
 import zipfile
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, of_extra
 from lensshift.scene.bvh import Tree, build_tree, meet_mesh
 from lensshift.scene.checks import positive, table
 from lensshift.scene.shapes import Rays, Shape
 
 # What the readers of trimesh raise for files that are damaged or not what their name says.
 _UNREADABLE = (
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    NameError,
-    NotImplementedError,
-    OSError,
-    struct.error,
-    zipfile.BadZipFile,
-)
+    ValueError, LookupError, TypeError, AttributeError, NameError, NotImplementedError, OSError,
+    struct.error, zipfile.BadZipFile,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,10 +44,9 @@ class Mesh(Shape):
     def __post_init__(self) -> None:
         super().__post_init__()
         vertices, corners = table("vertices_m", self.vertices_m), table("triangles", self.triangles)
-        if vertices.shape[1] != 3:
-            raise ValueError(f"expected vertices_m [vertex 3], got shape {vertices.shape}")
-        if corners.shape[1] != 3:
-            raise ValueError(f"expected triangles [triangle 3], got shape {corners.shape}")
+        for said, one in (("vertices_m [vertex 3]", vertices), ("triangles [triangle 3]", corners)):
+            if one.shape[1] != 3:
+                raise ValueError(f"expected {said}, got shape {one.shape}")
         triangles = corners.astype(np.int64)
         if not np.array_equal(triangles, corners):
             raise ValueError("expected whole numbers for triangles")
@@ -99,12 +90,8 @@ def load_mesh(path: str | Path, *, unit_m: float = 1.0, **shape: Any) -> Mesh:
     DataError
         If the file is missing, unreadable or holds no triangles.
     """
-    try:
-        trimesh = import_module("trimesh")
-    except ImportError as error:
-        raise ImportError(
-            "mesh files need trimesh: python -m pip install 'lensshift[mesh]'"
-        ) from error
+    needed = "mesh files need trimesh: python -m pip install 'lensshift[mesh]'"
+    trimesh = of_extra("trimesh", needed)
     positive("unit_m", unit_m)
     if not Path(path).is_file():
         raise DataError("expected a mesh file, found none", source=path)

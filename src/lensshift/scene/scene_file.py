@@ -29,7 +29,7 @@ import numpy as np
 
 from lensshift.core.arrays import Floats
 from lensshift.core.atomic import write_text
-from lensshift.core.errors import DataError, naming
+from lensshift.core.errors import DataError, about, naming
 from lensshift.core.settings import check_keys, fit, parse_toml, read_text
 from lensshift.scene import textures
 from lensshift.scene.checks import number, numbers
@@ -96,9 +96,11 @@ def save_scene(scene: Scene, path: str | Path) -> None:
 
 def format_scene(scene: Scene) -> str:
     """Return the TOML text of a scene."""
-    tables = [["[[object]]", *_shape_lines(shape)] for shape in scene.objects]
-    if scene.background is not None:
-        tables.append(["[background]", *_shape_lines(scene.background)])
+    heads = ["[[object]]"] * len(scene.objects) + ["[background]"]
+    tables = [
+        [head, f'shape = "{_kind_of(shape, _SHAPES, "shape")}"', *_lines(shape)]
+        for head, shape in zip(heads, scene.shapes, strict=False)
+    ]
     return "\n\n".join("\n".join(lines) for lines in tables) + "\n"
 
 
@@ -147,7 +149,8 @@ def _values(table: Any, word: str, kinds: Mapping[str, Any], where: str) -> tupl
     kind = table.get(word)
     if not isinstance(kind, str) or kind not in kinds:
         raise DataError(f"expected {word} of {', '.join(kinds)}, got {kind!r}", field=where)
-    keys = {_in_degrees(field.name): field.default is MISSING for field in fields(kinds[kind])}
+    own = fields(kinds[kind])
+    keys = {one.name.replace("_rad", "_deg"): one.default is MISSING for one in own}
     if "file" in table and kind in _FILE_KEYS:
         keys = {key: needed for key, needed in keys.items() if key not in _IN_FILE[kind]}
         keys |= dict.fromkeys(_FILE_KEYS[kind], False)
@@ -162,17 +165,11 @@ def _values(table: Any, word: str, kinds: Mapping[str, Any], where: str) -> tupl
     return kind, values
 
 
-def _in_degrees(field: str) -> str:
-    return field.replace("_rad", "_deg")
-
-
 def _in_radians(key: str, value: Any, where: str) -> Any:
-    try:
+    with about(where):
         if key == "turn_deg":
             return tuple(map(math.radians, numbers(key, value, 3)))
         return math.radians(number(key, value)) if key == "slant_deg" else value
-    except (TypeError, ValueError) as error:
-        raise DataError(str(error), field=where) from error
 
 
 def _built(build: Callable[..., _Built], values: _Table, where: str) -> _Built:
@@ -205,10 +202,6 @@ def _grey_image(path: Path) -> Floats:
     return pixels / float(top)
 
 
-def _shape_lines(shape: Shape) -> list[str]:
-    return [f'shape = "{_kind_of(shape, _SHAPES, "shape")}"', *_lines(shape)]
-
-
 def _kind_of(value: Any, kinds: Mapping[str, Any], word: str) -> str:
     for kind, known in kinds.items():
         if type(value) is known:
@@ -221,7 +214,7 @@ def _lines(value: Any) -> Iterator[str]:
     for field in fields(value):
         content = getattr(value, field.name)
         if isinstance(content, np.ndarray) or content != field.default:
-            yield f"{_in_degrees(field.name)} = {_toml(field.name, content)}"
+            yield f"{field.name.replace('_rad', '_deg')} = {_toml(field.name, content)}"
 
 
 def _toml(name: str, value: Any) -> str:
