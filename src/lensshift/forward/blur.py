@@ -127,8 +127,13 @@ class ApertureBlur(Blur):
 
     def table(self, phase: Positions, scale: int) -> tuple[int, Weights]:
         """Return the first tap and the weights [phase T] (see `Blur.table`)."""
-        half_hr_px = 0.5 * self.fill_factor * scale
-        return _aperture_table(phase, half_hr_px, self.optics_sigma_px * scale)
+        half_hr_px, sigma_hr_px = 0.5 * self.fill_factor * scale, self.optics_sigma_px * scale
+        reach = int(np.ceil(half_hr_px + 0.5 + 4.5 * sigma_hr_px))
+        edge = np.arange(-reach, reach + 3) - 0.5 - phase[:, None]
+        step = _ramp(edge + half_hr_px, sigma_hr_px) - _ramp(edge - half_hr_px, sigma_hr_px)
+        table = np.diff(step, axis=1) / (2 * half_hr_px)
+        table[table < APERTURE_TAIL] = 0.0
+        return -reach, table / table.sum(axis=1, keepdims=True)
 
     def widened(self, spot_px2: float) -> ApertureBlur:
         """Return the aperture behind another spot; never a smaller one than a point."""
@@ -242,18 +247,6 @@ def _as_positions(position_hr_px: ArrayLike) -> Positions:
     if not np.all(np.isfinite(position)):
         raise ValueError("expected finite positions, got NaN or infinity")
     return position
-
-
-def _aperture_table(
-    phases: Positions, half_hr_px: float, sigma_hr_px: float
-) -> tuple[int, Weights]:
-    """Return the first tap and the weights [phase, T] of box * Gaussian integrated over pixels."""
-    reach = int(np.ceil(half_hr_px + 0.5 + 4.5 * sigma_hr_px))
-    edge = np.arange(-reach, reach + 3) - 0.5 - phases[:, None]
-    step = _ramp(edge + half_hr_px, sigma_hr_px) - _ramp(edge - half_hr_px, sigma_hr_px)
-    table = np.diff(step, axis=1) / (2 * half_hr_px)
-    table[table < APERTURE_TAIL] = 0.0
-    return -reach, table / table.sum(axis=1, keepdims=True)
 
 
 def _ramp(at: Positions, sigma: float) -> Positions:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.atomic import written_whole
 from lensshift.core.intrinsics import points_m
-from lensshift.core.types import FRAME_FIELDS, Burst, Estimate, Reconstruction
+from lensshift.core.types import FRAME_FIELDS, Burst, Reconstruction
 from lensshift.io.container_writer import to_json
 from lensshift.io.image_file import SOFTWARE, TIFF_SUFFIXES
 from lensshift.io.image_formats import export_fits, export_ome, is_fits, is_ome
@@ -167,8 +167,12 @@ def export_reconstruction(
     fields = {name: getattr(reconstruction, name) for name in ("scale", "method", "flying")}
     fields |= {"pitch_mm": reconstruction.grid.pitch_mm}
     fields |= {"settings": to_json(reconstruction.settings, "settings")}
-    for name, estimate in channels.items():
-        fields |= _estimate_fields("distance_m" if name == "distance" else name, estimate)
+    parts = ("std", "misfit", "fine", "confidence", "prior_weight", "noise_sigma", "noise_gain")
+    for channel, estimate in channels.items():
+        name = "distance_m" if channel == "distance" else channel
+        fields |= {name: estimate.image, f"{name}_status": estimate.status.name.lower()}
+        fields[f"{name}_objective"] = np.asarray(estimate.objective, dtype=np.float64)
+        fields |= {f"{name}_{part}": getattr(estimate, part) for part in parts}
     if reconstruction.intrinsics is not None:
         fields |= intrinsics_fields(reconstruction.intrinsics)
         if reconstruction.distance_m is not None:
@@ -176,16 +180,6 @@ def export_reconstruction(
             fields["point_m"] = points_m(image, reconstruction.intrinsics)
     write_npz(path, fields)
     return None
-
-
-def _estimate_fields(name: str, estimate: Estimate) -> dict[str, Any]:
-    fields: dict[str, Any] = {
-        name: estimate.image,
-        f"{name}_objective": np.asarray(estimate.objective, dtype=np.float64),
-        f"{name}_status": estimate.status.name.lower(),
-    }
-    parts = ("std", "misfit", "fine", "confidence", "prior_weight", "noise_sigma", "noise_gain")
-    return fields | {f"{name}_{part}": getattr(estimate, part) for part in parts}
 
 
 def _as_real(image: ArrayLike) -> NDArray[Any]:

@@ -130,13 +130,12 @@ def _images_in(folder: Path) -> list[Path]:
             raise DataError(f"the folder holds {' and '.join(kinds)} files; name those to use")
         if not images:
             raise DataError(f"the folder holds no image ({', '.join(image_file.IMAGE_SUFFIXES)})")
-    return sorted(images, key=_natural_key)
 
+    def natural(path: Path) -> list[tuple[bool, int, str]]:  # frame_2 before frame_10
+        parts = re.findall(r"([0-9]+)|([^0-9]+)", path.name)
+        return [(not digits, int(digits or 0), text) for digits, text in parts]
 
-def _natural_key(path: Path) -> list[tuple[int, int, str]]:
-    """Return a sort key that puts frame_2 before frame_10."""
-    parts = re.findall(r"([0-9]+)|([^0-9]+)", path.name)
-    return [(0, int(digits), "") if digits else (1, 0, text) for digits, text in parts]
+    return sorted(images, key=natural)
 
 
 def _concatenate(paths: list[Path]) -> NDArray[Any]:
@@ -294,22 +293,12 @@ def _offset_fields(
     table = load_offsets(offsets) if isinstance(offsets, str | Path) else offsets
     if not isinstance(table, OffsetTable):
         table = OffsetTable(np.asarray(table))
-    if table.offset_px.shape != (count, 2):
-        raise DataError(
-            f"expected shape {(count, 2)} for {count} frames, got {table.offset_px.shape}"
-            f"{_axis_advice(source, table.offset_px, fields['amplitude'])}",
-            field="offset_px",
-            source=named,
-        )
+    shape = table.offset_px.shape
+    if shape != (count, 2):
+        problem = f"expected shape {(count, 2)} for {count} frames, got {shape}"
+        an_array = _label(source).suffix.lower() in (".npy", ".npz")
+        if an_array and len(shape) == 2 and shape[0] == fields["amplitude"].shape[-1]:
+            problem += "; if the array is [row col frame], set the frame axis to -1"
+        raise DataError(problem, field="offset_px", source=named)
     found: dict[str, Any] = {"offset_px": table.offset_px, "offset_source": table.offset_source}
     return found | {"offset_sigma_px": table.offset_sigma_px}
-
-
-def _axis_advice(
-    source: str | Path | Sequence[str | Path], offset_px: NDArray[Any], frames: NDArray[Any]
-) -> str:
-    """Return a hint if the frames seem to lie along the last axis of an array."""
-    an_array = _label(source).suffix.lower() in (".npy", ".npz")
-    if an_array and offset_px.ndim == 2 and offset_px.shape[0] == frames.shape[-1]:
-        return "; if the array is [row col frame], set the frame axis to -1"
-    return ""

@@ -8,6 +8,7 @@ there; what was begun with the same settings is gone on with.
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Mapping
 from dataclasses import replace
@@ -58,7 +59,11 @@ class PiecewiseFile(GrowingFile):
             k: v.values for k, v in variables.items() if isinstance(v.values, writer.Allocated)
         }
         if not part.exists():
-            _check_room(target, spaces)
+            needed = sum(math.prod(one.shape) * one.dtype.itemsize for one in spaces.values())
+            free = shutil.disk_usage(target.parent).free
+            if needed > free:
+                problem = f"the file takes {needed / 1e6:.1f} MB, {free / 1e6:.1f} MB are free"
+                raise DataError(problem, source=target)
             described = {**content.attributes, "begun": writer.sealed_text(begun)}
             whole = replace(content, variables=variables, attributes=described)
             with naming(path), written_whole(part) as fresh:
@@ -91,7 +96,7 @@ class PiecewiseFile(GrowingFile):
                 raise DataError(
                     f"expected {(count, *space.shape[1:])}, got {np.shape(values)}", field=name
                 )
-            stride = int(np.prod(space.shape[1:])) * space.dtype.itemsize
+            stride = math.prod(space.shape[1:]) * space.dtype.itemsize
             try:
                 self._file.seek(self._starts[name] + first * stride)
                 self._put(memoryview(np.asarray(values, space.dtype).tobytes()))
@@ -108,12 +113,3 @@ class PiecewiseFile(GrowingFile):
             raise DataError(f"{missing} pieces are missing", source=self._part)
         self._file.close()
         return self._part.replace(self._target)
-
-
-def _check_room(target: Path, spaces: Mapping[str, writer.Allocated]) -> None:
-    needed = sum(int(np.prod(one.shape)) * one.dtype.itemsize for one in spaces.values())
-    free = shutil.disk_usage(target.parent).free
-    if needed > free:
-        raise DataError(
-            f"the file takes {needed / 1e6:.1f} MB, {free / 1e6:.1f} MB are free", source=target
-        )

@@ -39,16 +39,17 @@ def prediction_variables(channels: Mapping[str, Estimate]) -> dict[str, Variable
         plain = seen.phasor if isinstance(seen, PhasorPredictor) else seen
         if not isinstance(plain, FramePredictor):
             continue
-        for index, axis in enumerate(("row", "col")):
-            for what, dims, pairs, unit, meaning in (
-                ("offset", _FRAME, plain.offset_px, "pixel", "image offset"),
-                ("shift", _PIXEL, plain.shift_field_px, "pixel", "image offset"),
-                ("spot", _PIXEL, plain.spot_px2, "pixel2", "variance of the spot"),
-                ("skew", _PIXEL, plain.skew_px3, "pixel3", "third central moment of the spot"),
-            ):
-                if pairs is not None:
-                    one = measured(dims, pairs[..., index], unit, f"{meaning} along {axis}s")
-                    variables[f"seen_{what}_{axis}"] = one
+        for what, dims, pairs, unit, meaning in (
+            ("offset", _FRAME, plain.offset_px, "pixel", "image offset"),
+            ("shift", _PIXEL, plain.shift_field_px, "pixel", "image offset"),
+            ("spot", _PIXEL, plain.spot_px2, "pixel2", "variance of the spot"),
+            ("skew", _PIXEL, plain.skew_px3, "pixel3", "third central moment of the spot"),
+        ):
+            for index, axis in enumerate(("row", "col") if pairs is not None else ()):
+                one = measured(
+                    dims, np.asarray(pairs)[..., index], unit, f"{meaning} along {axis}s"
+                )
+                variables[f"seen_{what}_{axis}"] = one
         variables[f"{name}_gain"] = Variable(_FRAME, plain.gain, {"units": "1"})
         variables[f"{name}_bias"] = Variable(_FRAME, plain.bias)
     return variables
@@ -72,36 +73,35 @@ def with_predictions(
     """Return the estimates, by their names in the file, with what the file has for predictions."""
     if not container.has("seen_offset_row"):
         return channels
-    phase = _phase_scale(container) if len(channels) == 2 else None
+    phase = None
+    if len(channels) == 2:
+        names = ("modulation_hz", "reference_m", "circular")
+        modulation_hz, reference_m, circular = (container.number(n, of="distance") for n in names)
+        if modulation_hz is not None and reference_m is not None:
+            phase = PhaseScale(modulation_hz, reference_m, bool(circular), "file")
     blur = _blur(settings.get("blur"))
     finest = {name: one.image if one.fine is None else one.fine for name, one in channels.items()}
 
     def predictor(name: str) -> FramePredictor:
-        smaller = finest[name].shape[0] // channels[name].image.shape[0]
-        return _predictor(container, name, finest[name], scale * smaller, blur)
+        image = finest[name]
+        per_px = scale * (image.shape[0] // channels[name].image.shape[0])
+        offset_px = container.pairs("seen_offset")
+        gain, bias = (container.array(f"{name}_{what}", kinds="f") for what in ("gain", "bias"))
+        shape = (len(offset_px), image.shape[0] // per_px, image.shape[1] // per_px)
+        of_pixels = [_of_pixels(container, what, shape) for what in ("shift", "spot", "skew")]
+        if gain.shape != shape[:1] or bias.shape != gain.shape:
+            raise DataError("expected one number a frame", field=f"{name}_gain")
+        return FramePredictor(image, per_px, blur, offset_px, gain, bias, *of_pixels)
 
     if phase is None:
         return {name: replace(one, predict=predictor(name)) for name, one in channels.items()}
     if finest["amplitude"].shape != finest["distance"].shape:
         raise DataError("expected as many pixels as amplitude_fine", field="distance_fine")
-    light, far = phasor_predictors(predictor("amplitude"), finest["distance"], phase)
+    both = phasor_predictors(predictor("amplitude"), finest["distance"], phase)
     return {
-        "amplitude": replace(channels["amplitude"], predict=light),
-        "distance": replace(channels["distance"], predict=far),
+        name: replace(channels[name], predict=one)
+        for name, one in zip(("amplitude", "distance"), both, strict=True)
     }
-
-
-def _predictor(
-    container: Container, name: str, image: NDArray[Any], scale: int, blur: Blur
-) -> FramePredictor:
-    offset_px = container.pairs("seen_offset")
-    gain, bias = (container.array(f"{name}_{what}", kinds="f") for what in ("gain", "bias"))
-    lr_shape = (image.shape[0] // scale, image.shape[1] // scale)
-    shape = (len(offset_px), *lr_shape)
-    of_pixels = [_of_pixels(container, what, shape) for what in ("shift", "spot", "skew")]
-    if gain.shape != (len(offset_px),) or bias.shape != gain.shape:
-        raise DataError("expected one number a frame", field=f"{name}_gain")
-    return FramePredictor(image, scale, blur, offset_px, gain, bias, *of_pixels)
 
 
 def _of_pixels(
@@ -114,14 +114,6 @@ def _of_pixels(
     if any(part.shape != shape for part in parts):
         raise DataError("expected one for every LR pixel", field=f"seen_{what}_row")
     return np.stack(parts, axis=-1)
-
-
-def _phase_scale(container: Container) -> PhaseScale | None:
-    names = ("modulation_hz", "reference_m", "circular")
-    modulation_hz, reference_m, circular = (container.number(n, of="distance") for n in names)
-    if modulation_hz is None or reference_m is None:
-        return None
-    return PhaseScale(modulation_hz, reference_m, bool(circular), "file")
 
 
 def _blur(settings: Any) -> Blur:

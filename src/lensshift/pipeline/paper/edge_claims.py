@@ -96,9 +96,9 @@ def mean_curve(runs: list[EdgeRun], kind: str) -> Floats:
     return np.asarray(np.mean([run.edges[kind].mtf.modulation for run in runs], axis=0))
 
 
-def limit(share: float, angle_rad: float = SLANT_RAD) -> Floats:
+def limit(share: float) -> Floats:
     """Return what a pixel of a share of the pitch lets through along the normal of the edge."""
-    return pixel_aperture_mtf(FREQUENCY_LPMM, share * bench.PITCH_MM, angle_rad=angle_rad)
+    return pixel_aperture_mtf(FREQUENCY_LPMM, share * bench.PITCH_MM, angle_rad=SLANT_RAD)
 
 
 def upto(frequency_lpmm: Floats, good: Mask) -> float:

@@ -198,10 +198,10 @@ def _of_kind(done: list[tuple[str, Any]], kind: str) -> list[Any]:
 
 
 def _write_results(found: Reproduction, path: Path) -> None:
+    told = ("id", "statement", "paper", "ours", "interval", "numbers", "verdict", "why")
     claims: Any = [
-        {"id": one.id, "statement": one.statement, "paper": one.paper, "ours": one.ours}
-        | {"interval": one.interval, "numbers": one.numbers, "verdict": one.verdict}
-        | {"why": one.why, "criteria": {k: asdict(c) for k, c in CRITERIA[one.id].items()}}
+        {name: getattr(one, name) for name in told}
+        | {"criteria": {k: asdict(c) for k, c in CRITERIA[one.id].items()}}
         for one in found.claims
     ]
     content = {"claims": claims} | {name: getattr(found, name) for name in _WRITTEN}
