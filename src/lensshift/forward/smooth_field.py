@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array, Mask
+from lensshift.core.arrays import Array
 
 Starts = NDArray[np.int64]
 
@@ -54,14 +54,9 @@ def smooth_field(
     if not inside.any(axis=-1).all() or max(down.max(), beside.max()) > _MOST_SPARE:
         return None
     by_tap = _by_tap(row_weight, down), _by_tap(col_weight, beside)
-    counts = (_taps_in_use(weight, inside) for weight in by_tap)
+    used = (((weight != 0) & inside[:, :, None]).any(axis=-1) for weight in by_tap)
+    counts = (one.shape[2] - np.argmax(one[..., ::-1], axis=-1) for one in used)
     return SmoothField(np.stack([top, left, *counts], axis=-1), run, *by_tap)
-
-
-def _taps_in_use(weight: Array, inside: Mask) -> Starts:
-    """Return how many taps [frame row] of a row any pixel takes that is inside."""
-    used = ((weight != 0) & inside[:, :, None]).any(axis=-1)
-    return np.asarray(weight.shape[2] - np.argmax(used[..., ::-1], axis=-1), np.int64)
 
 
 def _by_tap(weight: Array, later: Starts) -> Array:

@@ -207,10 +207,8 @@ def _search(
 
 def _least_detail(tapered: Tapered, at: Frequencies) -> Floats:
     """Return the direction [2] in which the frames have least detail: along an edge."""
-    middle = at.down.shape[1] // 2  # where the alias is 0
-    frequency = np.stack([at.down[:, middle], at.right[:, middle]])
     power = at.weight * np.sum(np.abs(tapered.spectra) ** 2, axis=1)
-    return np.asarray(np.linalg.eigh((frequency * power) @ frequency.T)[1][:, 0])
+    return np.asarray(np.linalg.eigh((at.own * power) @ at.own.T)[1][:, 0])
 
 
 def with_given(fit: ShiftFit, given_px: Shifts, sigma_px: Shifts | None, *, said: bool) -> ShiftFit:

@@ -213,10 +213,7 @@ def _plane(first: Array, second: Array, start_px: Shifts, band: float) -> Shifts
     """
     frames = np.stack([first, second])
     at = Frequencies.of(frames.shape, whole_plane=frames.dtype.kind == "c")
-    # The bin in the middle of the aliases is the frequency itself.
-    middle = at.down.shape[1] // 2
-    frequency = np.stack([at.down[:, middle], at.right[:, middle]])
-    low = at.weight * _low_pass(band, *frequency)
+    frequency, low = at.own, at.weight * _low_pass(band, *at.own)
     shift_px = start_px.copy()
     for _ in range(_PLANE_PASSES):
         offset_px = np.stack([np.zeros(2), shift_px])

@@ -70,19 +70,13 @@ def better_shifts(fit: ShiftFit, frames: Array, valid: Mask, reference: int) -> 
         # Half of the frames disagree with the other half by twice the variance of all.
         variance = np.mean((apart_px - np.median(apart_px, axis=0)) ** 2, axis=0)
         other = _widened(other, variance, reference)
-        if _refuted(error, other_error):
+        gain = error - other_error
+        chance = stdtrit(gain.size - 1, 1.0 - CHANCE) * np.std(gain, ddof=1) / np.sqrt(gain.size)
+        if gain.mean() > max((1.0 - BETTER) * error.mean(), chance):
             return _where_known(replace(other, gain=fit.gain), fit)
     square = (fit.offset_px - other.offset_px) ** 2 - fit.sigma_px**2 - other.sigma_px**2
     excess = np.maximum(np.delete(square, reference, axis=0).mean(axis=0), 0.0)
     return _widened(fit, excess, reference)
-
-
-def _refuted(error: Floats, other: Floats) -> bool:
-    """Return whether errors of prediction [frame] are more than others, and not by chance."""
-    gain = error - other
-    chance = float(np.std(gain, ddof=1) / np.sqrt(gain.size))
-    least = max((1.0 - BETTER) * error.mean(), stdtrit(gain.size - 1, 1.0 - CHANCE) * chance)
-    return bool(gain.mean() > least)
 
 
 def _where_known(other: ShiftFit, fit: ShiftFit) -> ShiftFit:

@@ -105,27 +105,14 @@ def _groups(shape: tuple[int, ...], offset_px: Floats) -> list[_Group]:
 
 def _splines(size: int, offset_px: float, all_px: Floats) -> tuple[Any, Any]:
     """Return the cubic B-splines and their derivatives at the pixels of a frame, [pixel knot]."""
-    from scipy.sparse import csr_array
+    from scipy.interpolate import BSpline
 
     first = np.floor(KNOTS_PER_PX * -all_px.max()) - 1
     last = np.ceil(KNOTS_PER_PX * (size - 1 - all_px.min())) + 2
     at = KNOTS_PER_PX * (np.arange(size) - offset_px) - first
-    whole = np.floor(at).astype(np.intp)
-    p = at - whole
-    values = np.stack(
-        [(1 - p) ** 3, 3 * p**3 - 6 * p**2 + 4, 3 * (1 - p) ** 3 - 6 * (1 - p) ** 2 + 4, p**3], -1
-    )
-    slopes = np.stack(
-        [-((1 - p) ** 2), 3 * p**2 - 4 * p, -3 * (1 - p) ** 2 + 4 * (1 - p), p**2], axis=-1
-    )
-    index = whole[:, None] + np.arange(-1, 3)
-    row = np.broadcast_to(np.arange(size)[:, None], index.shape)
-    shape = (size, int(last - first) + 1)
-    place = (row.ravel(), index.ravel())
-    return (
-        csr_array((values.ravel() / 6.0, place), shape=shape),
-        csr_array((0.5 * KNOTS_PER_PX * slopes.ravel(), place), shape=shape),
-    )
+    ends = np.arange(-2.0, last - first + 3.0)  # of pieces: spline n is centred at n
+    bent = BSpline.design_matrix(at, ends, 2)
+    return BSpline.design_matrix(at, ends, 3), KNOTS_PER_PX * (bent[:, :-1] - bent[:, 1:])
 
 
 def _slopes(knots: Floats, groups: list[_Group]) -> Floats:

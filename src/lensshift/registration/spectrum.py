@@ -65,6 +65,12 @@ class Frequencies:
             reach,
         )
 
+    @property
+    def own(self) -> Floats:
+        """(down, right) [2 frequency] of the frequencies themselves, whose alias is 0."""
+        middle = self.down.shape[1] // 2
+        return np.stack([self.down[:, middle], self.right[:, middle]])
+
     def parts(self, frames: int) -> Iterator[slice]:
         """Yield slices of the frequencies that fit in memory one after another."""
         step = max(1, _NUMBERS_AT_ONCE // max(self.down.shape[1], 4 * frames**2))
@@ -73,8 +79,7 @@ class Frequencies:
 
     def steering(self, offset_px: Shifts, gain: Array) -> Steering:
         """Return what frames at some offsets [frame 2] and with some gains see of them."""
-        middle = self.down.shape[1] // 2  # where the alias is 0
-        base = np.stack([self.down[:, middle], self.right[:, middle]], axis=-1)
+        base = self.own.T
         alias = np.rint(np.stack([self.down[0], self.right[0]], axis=-1) - base[0])
         of_alias = gain * np.exp(-2j * np.pi * (alias @ offset_px.T))
         pairs = of_alias[:, :, None] * np.conj(of_alias[:, None])

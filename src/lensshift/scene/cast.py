@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array, Floats, Mask
-from lensshift.scene.shapes import Rays, Scene, Shape
+from lensshift.scene.shapes import Rays, Scene
 
 _RAYS_AT_ONCE = 16_384  # some 5 MB of work besides the result
 _END_M = 1e-6  # far above the rounding of points, far below the size of things
@@ -54,21 +54,16 @@ def cast(scene: Scene, direction: ArrayLike, *, origin_m: ArrayLike = (0.0, 0.0,
         If a shape is not as above, a number is not finite, a direction has no length, or a
         texture returns anything but shares from 0 to 1.
     """
-    vectors, origins, axes = _broadcast(direction, origin_m, "direction", "origin_m")
+    vectors, origins, axes = _broadcast(direction=direction, origin_m=origin_m)
     if not np.all(np.isfinite(vectors)) or not np.all(np.isfinite(origins)):
         raise ValueError("expected finite direction and origin_m, got infinity or NaN")
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     if not np.all(length > 0):
         raise ValueError("expected directions with a length, got one of zeros")
     count = len(vectors)
-    hits = Hits(
-        distance_m=np.full(count, np.inf),
-        reflectance=np.zeros(count),
-        cos_incidence=np.zeros(count),
-        hit=np.zeros(count, dtype=np.bool_),
-        point_m=np.full((count, 3), np.nan),
-        normal=np.full((count, 3), np.nan),
-    )
+    light, cosine, hit = np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_)
+    point_m, normal = (np.full((count, 3), np.nan) for _ in range(2))
+    hits = Hits(np.full(count, np.inf), light, cosine, hit, point_m, normal)
     for first in range(0, count, _RAYS_AT_ONCE):
         some = slice(first, first + _RAYS_AT_ONCE)
         _cast_some(scene, origins[some], vectors[some] / length[some], hits, first)
@@ -92,7 +87,7 @@ def visible(scene: Scene, from_m: ArrayLike, to_m: ArrayLike) -> Mask:
     ValueError
         If a shape is not as above.
     """
-    starts, ends, axes = _broadcast(from_m, to_m, "from_m", "to_m")
+    starts, ends, axes = _broadcast(from_m=from_m, to_m=to_m)
     clear = np.empty(len(starts), dtype=np.bool_)
     for first in range(0, len(starts), _RAYS_AT_ONCE):
         some = slice(first, first + _RAYS_AT_ONCE)
@@ -129,38 +124,31 @@ def _cast_some(scene: Scene, origin_m: Array, direction: Array, hits: Hits, firs
         normal = normal @ shape.rotation.T
         against = -np.einsum("ri,ri->r", normal, towards)
         normal = np.where(against[:, None] < 0, -normal, normal)
+        share = np.asarray(shape.texture(x_m, y_m), dtype=np.float64)
+        if share.shape != x_m.shape or not np.all((share >= 0) & (share <= 1)):
+            of = f"expected a texture of {shape.name or type(shape).__name__}"
+            raise ValueError(f"{of} that returns one reflectance from 0 to 1 per point")
         seen = here + first
         hits.distance_m[seen] = distance_m
-        hits.reflectance[seen] = _reflectance(shape, x_m, y_m)
+        hits.reflectance[seen] = share
         hits.cos_incidence[seen] = np.minimum(np.abs(against), 1.0)
         hits.hit[seen] = True
         hits.point_m[seen] = point_m
         hits.normal[seen] = normal
 
 
-def _reflectance(shape: Shape, x_m: Array, y_m: Array) -> Array:
-    share = np.asarray(shape.texture(x_m, y_m), dtype=np.float64)
-    if share.shape != x_m.shape or not np.all((share >= 0) & (share <= 1)):
-        name = shape.name or type(shape).__name__
-        raise ValueError(
-            f"expected a texture of {name} that returns one reflectance from 0 to 1 per point"
-        )
-    return share
-
-
 def _broadcast(
-    first: ArrayLike, second: ArrayLike, first_name: str, second_name: str
+    **named: ArrayLike,
 ) -> tuple[Array, Array, tuple[int, ...]]:
     """Return two lists of vectors [ray 3] of equal length, and their common leading axes."""
-    vectors = [np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)]
-    for vector, name in zip(vectors, (first_name, second_name), strict=True):
+    vectors = {name: np.asarray(each, dtype=np.float64) for name, each in named.items()}
+    for name, vector in vectors.items():
         if vector.ndim < 1 or vector.shape[-1] != 3:
             raise ValueError(f"expected {name} [... 3], got shape {vector.shape}")
     try:
-        one, other = np.broadcast_arrays(*vectors)
+        one, other = np.broadcast_arrays(*vectors.values())
     except ValueError as error:
-        raise ValueError(
-            f"expected {first_name} and {second_name} that broadcast, got shapes "
-            f"{vectors[0].shape} and {vectors[1].shape}"
-        ) from error
+        shapes = " and ".join(str(one.shape) for one in vectors.values())
+        problem = f"expected {' and '.join(vectors)} that broadcast, got shapes {shapes}"
+        raise ValueError(problem) from error
     return one.reshape(-1, 3), other.reshape(-1, 3), one.shape[:-1]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
 
 from lensshift.capture.rig import Camera, CameraFrame
 from lensshift.core.arrays import Array, Floats, Mask
@@ -111,6 +111,8 @@ def _view(frames: list[CameraFrame]) -> View:
 
 def settings_share(raw: list[Mapping[str, Array]], amplitude: Floats, always: Mask) -> float:
     """Return the share of pixels whose amplitude depends on exposure and gain, as an O3M tells."""
+    from scipy.stats import ttest_ind
+
     if not all({"confidence", "normalization"} <= set(one) for one in raw):
         return 0.0
     setting = (np.stack([one["confidence"] for one in raw]).astype(int) >> 1) & 3
@@ -122,27 +124,13 @@ def settings_share(raw: list[Mapping[str, Array]], amplitude: Floats, always: Ma
         told = [one for one in groups if len(one) > 2]
         if len(told) == 2:
             first, second = told
-            least = max(_chance(first, second, len(changing)), PIXEL_NOISE * values.mean())
-            differing[pixel[0], pixel[1]] = abs(first.mean() - second.mean()) > least
+            if abs(first.mean() - second.mean()) > PIXEL_NOISE * values.mean():
+                # Each with its own noise (Welch), or all alike (Student), whichever is more: three
+                # values may lie close together by chance.
+                with warnings.catch_warnings(action="ignore"):  # of those that are all equal
+                    odds = [ttest_ind(first, second, equal_var=one).pvalue for one in (True, False)]
+                differing[pixel[0], pixel[1]] = max(odds) < _CHANCE / len(changing)
     return float(differing.mean())
-
-
-def _chance(first: Floats, second: Floats, pixels: int) -> float:
-    """Return by how much the means of two small groups differ by chance, one of so many.
-
-    Each with its own noise (Welch), or all alike (Student), whichever is more: three values may lie
-    close together by chance.
-    """
-    count = np.array([len(first), len(second)])
-    square = np.array([one.var(ddof=1) for one in (first, second)])
-    if not square.any():
-        return 0.0
-    freedom = count - 1
-    own = square / count
-    alike = (freedom @ square) / freedom.sum() / count
-    cases = ((own.sum(), own.sum() ** 2 / np.sum(own**2 / freedom)), (alike.sum(), freedom.sum()))
-    odds = 1.0 - 0.5 * _CHANCE / pixels
-    return float(max(stdtrit(free, odds) * np.sqrt(variance) for variance, free in cases))
 
 
 def view_findings(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -96,7 +97,8 @@ def take_grating(
             bench.SNR, bench.CARD_LIGHT, bench.CARD_LIGHT, optics="petzval_a", element=element
         )) for element in (0, None)
     )  # fmt: skip
-    stretch = _stretch(lens.truth.amplitude, frequency_lpmm, phase_rad, 2)
+    truth = partial(read_grating, lens.truth.amplitude, frequency_lpmm, phase_rad, scale=2)
+    stretch = max(_STRETCHES.tolist(), key=lambda one: truth(stretch=one))
     row_px, col_px = lens.burst.offset_px[0].tolist()
     images = pictures(lens.burst, sensor.burst, response)
     modulation = {
@@ -107,9 +109,7 @@ def take_grating(
         )
         for kind, image in images.items()
     }  # fmt: skip
-    modulation["half pixel"] = read_grating(
-        lens.truth.amplitude, frequency_lpmm, phase_rad, scale=2, stretch=stretch
-    )
+    modulation["half pixel"] = truth(stretch=stretch)
     return GratingRun(frequency_lpmm, modulation)
 
 
@@ -153,11 +153,3 @@ def _phase_rad(seed: int) -> float:
 def _turn(cycles: float) -> tuple[float, float]:
     """Return the angular frequency along (row, col) of a wave across the edge of the card."""
     return -2.0 * np.pi * cycles * np.sin(SLANT_RAD), 2.0 * np.pi * cycles * np.cos(SLANT_RAD)
-
-
-def _stretch(truth: Floats, frequency_lpmm: float, phase_rad: float, scale: int) -> float:
-    shown = [
-        read_grating(truth, frequency_lpmm, phase_rad, scale=scale, stretch=stretch)
-        for stretch in _STRETCHES.tolist()
-    ]
-    return float(_STRETCHES[int(np.argmax(shown))])
