@@ -144,7 +144,7 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
 
 def _looking(burst: Burst, asked: ReconstructOptions) -> Burst:
     """Return the burst with where its pixels look, as far as it is told or known."""
-    from lensshift.io.image_formats import is_ome
+    from lensshift.io.export import is_ome
 
     intrinsics = asked.points.intrinsics(burst.grid, burst.intrinsics)
     waves = burst.amplitude.dtype.kind == "c"

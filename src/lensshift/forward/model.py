@@ -79,12 +79,11 @@ class ForwardModel:
         """How far the shift of a pixel is from the mean of its frame at most."""
         if self.offset_px is not None:
             return 0.0
-        most = 0.0
-        for axis, taps in enumerate((self.rows, self.cols)):
-            place = np.arange(self.lr_shape[axis]) * self.scale
-            away = taps.position_hr_px - (place[:, None] if axis == 0 else place)
-            most = max(most, float(np.abs(away - away.mean(axis=(1, 2), keepdims=True)).max()))
-        return most / self.scale
+        places = np.ogrid[: self.lr_shape[0], : self.lr_shape[1]]
+        both = zip((self.rows, self.cols), places, strict=True)
+        away = [taps.position_hr_px - self.scale * place for taps, place in both]
+        apart = [np.abs(one - one.mean(axis=(1, 2), keepdims=True)).max() for one in away]
+        return float(max(apart)) / self.scale
 
     def predict(self, x: Array) -> Array:
         """Return the frames [frame row col] that the HR image gives, bias included."""

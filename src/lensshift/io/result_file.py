@@ -160,8 +160,7 @@ def _read_channel(container: Container, name: str) -> Estimate:
     optional: dict[str, Any] = {number: container.number(number, of=name) for number in _KEPT}
     optional["notes"] = container.mapping("notes", of=name)
     for part, attribute in (("std", "uncertainty"), ("misfit", "misfit")):
-        values = container.known(f"{name}_{part}", kinds="f", shape=image.shape)
-        optional[attribute] = values
+        optional[attribute] = container.known(f"{name}_{part}", kinds="f", shape=image.shape)
     optional["fine"] = fine = container.known(f"{name}_fine", kinds="f")
     if fine is not None:
         smaller = fine.shape[0] // image.shape[0] if fine.ndim == 2 else 0

@@ -3,8 +3,7 @@
 scene -> camera -> burst -> reconstruction -> comparison with the truth -> files and report
 """
 
-from lensshift.pipeline.demo import demo_burst
-from lensshift.pipeline.experiment import Experiment, Outcome, carry_out
+from lensshift.pipeline.experiment import Experiment, Outcome, carry_out, demo_burst
 from lensshift.pipeline.experiment_file import default_experiment, load_experiment, named_scene
 from lensshift.pipeline.run import RunSummary, run
 

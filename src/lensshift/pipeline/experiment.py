@@ -9,9 +9,19 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from lensshift.camera import LensOptics, TofCamera, TofCapture, TofTruth
+from lensshift.camera import (
+    LensOptics,
+    Sensor,
+    TofCamera,
+    TofCapture,
+    TofTruth,
+    Truth,
+    camera_preset,
+    simulate_burst,
+)
 from lensshift.camera import simulate_tof as take
 from lensshift.core.arrays import Array, Floats
+from lensshift.core.grid import Grid
 from lensshift.core.types import Burst, Reconstruction, ShiftField
 from lensshift.evaluation import depth_error, fidelity
 from lensshift.forward.model import MAX_SCALE
@@ -19,11 +29,12 @@ from lensshift.optics.lens import Lens
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.phasor.choice import Channel
 from lensshift.reconstruction.reconstruct import reconstruct
-from lensshift.scene import Scene
+from lensshift.scene import Scene, demo_target
 
 YARDSTICKS = ("nearest", "bicubic")
 Shifts = Literal["planned", "true", "traced"]
 SHIFTS: tuple[Shifts, ...] = ("planned", "true", "traced")
+DEMO_GRID = camera_preset("o3m151").grid  # 16 x 64 pixels
 MOST_SHIFT_ERROR_PX = 5.0  # beyond that a plan of shifts says nothing
 
 
@@ -206,3 +217,9 @@ def depth_numbers(distance_m: Array, truth: TofTruth, scale: int) -> dict[str, f
     """Return the errors of a distance image against the truth."""
     found = asdict(depth_error(distance_m, truth.distance_m, truth_valid=truth.valid, scale=scale))
     return {name: float(value) for name, value in found.items()}
+
+
+def demo_burst(grid: Grid = DEMO_GRID, *, scale: int = 2, seed: int = 0) -> tuple[Burst, Truth]:
+    """Return a simulated burst of the demo target, and what nobody knows on a bench."""
+    rows_mm, cols_mm = (n * pitch for n, pitch in zip(grid.shape, grid.pitch_mm, strict=True))
+    return simulate_burst(demo_target((rows_mm, cols_mm)), Sensor(grid), scale=scale, seed=seed)

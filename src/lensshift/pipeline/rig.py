@@ -89,7 +89,9 @@ def run_emulated(
     with EmulatedRig(settings, camera_port=free_udp_port()) as emulated:
         taken = _take(emulated, folder, on_step)
         # The origin of the image is where the calibration says that the offset is zero.
-        assumed_px = _assumed(taken)
+        told, field = taken.calibration.applied_to(taken.burst)
+        everywhere_px = np.broadcast_to(told.offset_px[:, None, None], taken.true_px.shape)
+        assumed_px = everywhere_px if field is None else field.offset_px
         origin_px = (taken.true_px - assumed_px).mean(axis=(0, 1, 2))
         truth = emulated.world.running.truth(scale, origin_px)[0]
     results = _reconstructions(taken, assumed_px, origin_px, scale, method)
@@ -170,15 +172,6 @@ def _take(
         rig.acquisition = replace(patient, frames=_FRAMES)
         burst = rig.capture(_PLAN, files["burst"], on_step=taken)
         return _Taken(burst, rig.calibration, np.stack(true), dict(rig.camera.counts()))
-
-
-def _assumed(taken: _Taken) -> Array:
-    """Return the offsets [frame row col 2] that the reconstruction is told."""
-    burst, field = taken.calibration.applied_to(taken.burst)
-    if field is not None:
-        return field.offset_px
-    per_frame = burst.offset_px[:, None, None, :]
-    return np.broadcast_to(per_frame, (burst.frame_count, *burst.grid.shape, 2))
 
 
 def _reconstructions(

@@ -73,9 +73,12 @@ def gradient_shifts(
         if largest_px < CONVERGED_PX:
             converged = True
             break
+    # The low pass shares noise over 4 pi sigma^2 pixels.
+    shared = 4.0 * np.pi * LOW_PASS_SIGMA_PX**2
+    each = residual * shared * np.linalg.pinv(normal, rcond=1e-9)
     return ShiftFit(
         offset_px=offset_px,
-        covariance_px2=_covariance(normal, residual, reference),
+        covariance_px2=against_reference(each, reference) * (count - 1) / count,
         gain=gain / gain[reference],
         noise_sigma=float(np.sqrt(residual)),
         converged=converged,
@@ -153,14 +156,3 @@ def _one_frame(
         inner = inner - normal[:2, 2:] @ np.linalg.pinv(normal[2:, 2:]) @ normal[2:, :2]
     gain, bias = (float(found[2]), float(found[3])) if photometric else (0.0, 0.0)
     return found[:2], inner, gain, bias, square
-
-
-def _covariance(normal: Floats, residual: float, reference: int) -> Floats:
-    """Return the covariance [2 frame, 2 frame] of the offsets against the reference.
-
-    The low pass shares noise over 4 pi sigma^2 pixels.
-    """
-    count = len(normal)
-    shared = 4.0 * np.pi * LOW_PASS_SIGMA_PX**2
-    each = residual * shared * np.linalg.pinv(normal, rcond=1e-9)
-    return against_reference(each, reference) * (count - 1) / count

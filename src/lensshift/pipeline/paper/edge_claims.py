@@ -251,7 +251,7 @@ def _at(gratings: list[GratingRun], kind: str, frequency_lpmm: float) -> float:
 def _width(runs: list[EdgeRun], gratings: list[GratingRun]) -> Claim:
     numbers: dict[str, Number] = {}
     for whose, kind in _BOTH:
-        numbers[f"width{whose}"] = _over(runs, lambda run, kind=kind: _narrower(run, kind))  # type: ignore[misc]
+        numbers[f"width{whose}"] = mean_interval([_narrower(run, kind) for run in runs])
         for name, value in edge_and_grating(runs, gratings, kind).items():
             numbers[f"{name}{whose}"] = exactly(value)
     return Claim(
