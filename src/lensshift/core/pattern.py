@@ -26,11 +26,9 @@ def grid_pattern_px(per_side: int) -> NDArray[np.float64]:
         raise ValueError(f"expected at least one place per side, got {per_side}")
     count = int(per_side)
     places = (np.arange(count) + 0.5) / count - 0.5
-    rows = [
-        [(row, col) for col in (places if number % 2 == 0 else places[::-1])]
-        for number, row in enumerate(places)
-    ]
-    return np.array(rows, dtype=np.float64).reshape(-1, 2)
+    row, col = np.meshgrid(places, places, indexing="ij")
+    col[1::2] = places[::-1]
+    return np.stack([row, col], axis=-1).reshape(-1, 2)
 
 
 def named_pattern_px(name: str) -> NDArray[np.float64]:

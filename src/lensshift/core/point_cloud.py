@@ -57,12 +57,8 @@ class PointCloud(Shown):
 
         Those that are not known are left out; `std` is in metres along the ray.
         """
-        named = {
-            "positions": self.point_m,
-            "normals": self.normal,
-            "amplitude": self.amplitude,
-            "std": self.std_m,
-        }
+        named = {"positions": self.point_m, "normals": self.normal}
+        named |= {"amplitude": self.amplitude, "std": self.std_m}
         return {
             name: np.ascontiguousarray(values.reshape(len(self), -1), np.float32)
             for name, values in named.items()

@@ -51,9 +51,8 @@ def packed_layers(picture: Picture) -> tuple[list[dict[str, Any]], bytes]:
     for name, unit, values in layers_of(picture):
         codes, low, step = coded(values)
         rows, cols = values.shape
-        told.append(
-            {"name": name, "unit": unit, "rows": rows, "cols": cols, "low": low, "step": step}
-        )
+        size = {"rows": rows, "cols": cols, "low": low, "step": step}
+        told.append({"name": name, "unit": unit} | size)
         parts.append(codes.tobytes())
     return told, b"".join(parts)
 

@@ -153,28 +153,20 @@ def carry_out(
         **experiment.options,
     )
     seconds = time.perf_counter() - start_s
-    images = {
-        name: images_of(reconstruct(burst, experiment.scale, name, std=False))
-        for name in YARDSTICKS
-    }
+    scale, truth = experiment.scale, capture.truth
+    images = {name: images_of(reconstruct(burst, scale, name, std=False)) for name in YARDSTICKS}
     images[experiment.method] = images_of(result)
-    truth = capture.truth
-    return Outcome(
-        capture=capture,
-        reconstruction=result,
-        images=images,
-        fidelity={
-            name: asdict(fidelity(image["amplitude"], truth.amplitude))
-            for name, image in images.items()
-            if "amplitude" in image
-        },
-        depth={
-            name: depth_numbers(image["distance"], truth, experiment.scale)
-            for name, image in images.items()
-            if "distance" in image
-        },
-        seconds=seconds,
-    )
+    like = {
+        name: asdict(fidelity(image["amplitude"], truth.amplitude))
+        for name, image in images.items()
+        if "amplitude" in image
+    }
+    depth = {
+        name: depth_numbers(image["distance"], truth, scale)
+        for name, image in images.items()
+        if "distance" in image
+    }
+    return Outcome(capture, result, images, like, depth, seconds)
 
 
 def simulate(experiment: Experiment) -> TofCapture:

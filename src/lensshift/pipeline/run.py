@@ -81,13 +81,8 @@ def run(
     experiment = replace(experiment, **changes)
     outcome = carry_out(experiment, on_iteration=on_iteration)
     files = _write(folder, experiment, outcome)
-    return RunSummary(
-        files,
-        outcome.fidelity,
-        outcome.depth,
-        outcome.reconstruction,
-        time.perf_counter() - start_s,
-    )
+    compared, seconds = (outcome.fidelity, outcome.depth), time.perf_counter() - start_s
+    return RunSummary(files, *compared, outcome.reconstruction, seconds)
 
 
 def writable_folder(out_dir: str | Path) -> Path:
@@ -118,9 +113,8 @@ def made_folder(folder: Path) -> Path:
 
 def save_truth(truth: TofTruth, path: str | Path) -> None:
     """Write what an experimenter never gets to know as NPZ, one array per field; or a DataError."""
-    arrays = {
-        one.name: getattr(truth, one.name) for one in fields(truth) if one.name != "offset_field"
-    }
+    names = [one.name for one in fields(truth) if one.name != "offset_field"]
+    arrays = {name: getattr(truth, name) for name in names}
     if truth.offset_field is not None:
         arrays["offset_field_px"] = truth.offset_field.offset_px
     write_npz(path, arrays)
@@ -137,10 +131,8 @@ def _write(folder: Path, experiment: Experiment, outcome: Outcome) -> tuple[Path
     save_reconstruction(outcome.reconstruction, result_file)
     truth = outcome.capture.truth
     labels = {"nearest": "one frame, as it is", "bicubic": "one frame, bicubic"}
-    shown = {
-        labels.get(name, f"{name} x{experiment.scale}"): images
-        for name, images in outcome.images.items()
-    }
+    labels.setdefault(experiment.method, f"{experiment.method} x{experiment.scale}")
+    shown = {labels[name]: images for name, images in outcome.images.items()}
     shown["truth"] = {"amplitude": truth.amplitude, "distance": truth.distance_m}
     title = f"{experiment.name or 'experiment'}: {len(experiment.pattern_px)} frames"
     save_shots(shown, title, preview)

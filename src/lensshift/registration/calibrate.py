@@ -225,10 +225,9 @@ def _commanded(burst: Burst) -> Floats:
 def _stage(burst: Burst) -> Floats:
     if burst.stage_mm is None:
         raise ValueError("the burst has no stage_mm, the positions read back while it was taken")
-    if burst.frame_count < _LEAST_FRAMES:
-        raise ValueError(
-            f"expected a scan of at least {_LEAST_FRAMES} frames, got {burst.frame_count}"
-        )
+    count = burst.frame_count
+    if count < _LEAST_FRAMES:
+        raise ValueError(f"expected a scan of at least {_LEAST_FRAMES} frames, got {count}")
     spread = np.linalg.svd(burst.stage_mm - burst.stage_mm.mean(axis=0), compute_uv=False)
     if spread[1] < 0.05 * spread[0] or spread[0] == 0:
         raise ValueError("expected a scan along both axes of the stage, got positions on a line")

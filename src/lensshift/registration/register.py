@@ -288,9 +288,8 @@ def _warn_if_poor(
 ) -> None:
     """Warn of shifts [frame 2] that are poorly known, of the frames with these numbers."""
     if not converged:
-        warn_quality(
-            "the search for the shifts did not settle; are these frames of one still scene?", 3
-        )
+        cure = "are these frames of one still scene?"
+        warn_quality(f"the search for the shifts did not settle; {cure}", 3)
     unsure = int(np.argmax(np.hypot(*rivals_px.T)))
     if np.any(rivals_px):
         down, right = rivals_px[unsure]

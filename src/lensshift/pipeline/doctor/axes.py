@@ -111,11 +111,8 @@ def nudge(stage: Stage, camera: Camera, calibration: Calibration, settings: Acqu
         for place, straight in zip(places, direct, strict=True):
             shots += at_position(stage, camera, place, calibration, settings, 1, direct=straight)
             ending.check()
-    burst = Burst.from_arrays(
-        [one.amplitude for one in shots],
-        pitch_mm=camera.grid.pitch_mm,
-        valid=[one.valid for one in shots],
-    )
+    frames, valid = [one.amplitude for one in shots], [one.valid for one in shots]
+    burst = Burst.from_arrays(frames, pitch_mm=camera.grid.pitch_mm, valid=valid)
     # a poor one shows in its standard errors
     with warnings.catch_warnings(action="ignore", category=QualityWarning):
         seen = register(burst, motion="shift")

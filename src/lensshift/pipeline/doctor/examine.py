@@ -93,9 +93,8 @@ class Diagnosis:
         """Return all of it as plain values, for JSON."""
         told: dict[str, Any] = {"verdict": self.verdict, "level": self.level.name.lower()}
         told |= {"rig": self.source, "began": self.began, "devices": self.devices}
-        told["findings"] = [
-            asdict(one) | {"level": one.level.name.lower()} for one in self.findings
-        ]
+        each = [asdict(one) | {"level": one.level.name.lower()} for one in self.findings]
+        told["findings"] = each
         told |= {"averages": self.averages, "counts": self.counts, "files": self.files}
         for name, part in (("view", self.view), ("axes", self.axes)):
             told[name] = None if part is None else part.numbers
@@ -287,10 +286,8 @@ def _last_words(done: Diagnosis, camera: Camera) -> None:
     first, last = done.devices.get("camera", {}), camera.describe()
     for name, value in last.items():
         if name.endswith("_celsius") and isinstance(first.get(name), int | float):
-            change = value - first[name]
+            change, cure = value - first[name], "wait until it stands still"
             if abs(change) > _WARM_CELSIUS:
                 said = f"{name.removesuffix('_celsius')} went by {change:+.1f} degrees meanwhile"
-                done.findings.append(
-                    Finding(Level.NOTE, "warming up", said, "wait until it stands still")
-                )
+                done.findings.append(Finding(Level.NOTE, "warming up", said, cure))
     done.devices["camera"] = {"name": camera.name, **last}

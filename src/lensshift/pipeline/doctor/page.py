@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,8 +11,6 @@ from lensshift.registration.calibrate import BUDGET_PX
 from lensshift.report.page import Page
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from matplotlib.figure import Figure
 
     from lensshift.pipeline.doctor.examine import Diagnosis
@@ -27,12 +26,9 @@ def doctor_page(done: Diagnosis) -> Page:
     page = Page("Examination of the rig")
     page.text(done.verdict)
     page.text(f"{done.source}, {done.began}")
-    page.table(
-        [
-            {"level": one.level.name.lower(), "what": one.name, "found": one.said, "do": one.cure}
-            for one in sorted(done.findings, key=lambda one: -one.level)
-        ]
-    )
+    worst_first = sorted(done.findings, key=lambda one: -one.level)
+    page.table([{"level": one.level.name.lower(), "what": one.name, "found": one.said,
+                 "do": one.cure} for one in worst_first])  # fmt: skip
     if done.view is not None:
         page.heading("What the camera sees")
         page.figure(

@@ -47,76 +47,52 @@ _AGREE = Criterion("LP/mm up to which edge and grating agree within 0.05", *_UPT
 # By the words of the paper, written with first gratings of this bench in sight, not blind:
 # "doubles" is 2 within 15 %; half of the step that is claimed still goes as a qualification.
 CRITERIA: Mapping[str, Mapping[str, Criterion]] = {
-    "optics-beyond-sensor": {
-        "margin": Criterion(
-            "least modulation of the lens above that of a pixel, Nyquist frequency to first zero",
-            (0.0, 1.0), (-0.05, 1.0),
-        ),
-    },
+    "optics-beyond-sensor": {"margin": Criterion(
+        "least modulation of the lens above that of a pixel, Nyquist frequency to first zero",
+        (0.0, 1.0), (-0.05, 1.0))},
     "decentring-keeps-mtf": {
-        "change": Criterion("largest change of the modulation", (0.0, 0.05), (0.0, 0.15)),
-    },
-    "first-lens-best": {
-        "beaten": Criterion(
-            "share of the other elements that lose more MTF and shift less evenly",
-            (1.0, 1.0), (0.5, 1.0),
-        ),
-    },
+        "change": Criterion("largest change of the modulation", (0.0, 0.05), (0.0, 0.15))},
+    "first-lens-best": {"beaten": Criterion(
+        "share of the other elements that lose more MTF and shift less evenly",
+        (1.0, 1.0), (0.5, 1.0))},
     "frame-at-full-pixel-limit": {
         "away": Criterion("rms from |sinc| up to 4 LP/mm", (0.0, 0.05), (0.0, 0.1)),
-        "leaves": Criterion("rms from |sinc| from 4 to 8 LP/mm", (0.05, 1.0), (0.0, 1.0)),
-    },
-    "quantisation-leaves-limit": {
-        "share": Criterion(
-            "share of the departure from |sinc| beyond 4 LP/mm that goes without rounding",
-            (0.5, 1.0), (0.25, 1.0),
-        ),
-    },
+        "leaves": Criterion("rms from |sinc| from 4 to 8 LP/mm", (0.05, 1.0), (0.0, 1.0))},
+    "quantisation-leaves-limit": {"share": Criterion(
+        "share of the departure from |sinc| beyond 4 LP/mm that goes without rounding",
+        (0.5, 1.0), (0.25, 1.0))},
     "bicubic-below-frame": {
-        "mtf50": Criterion("MTF50 over that of the frame", (0.0, 1.0), (0.0, 1.02)),
-    },
+        "mtf50": Criterion("MTF50 over that of the frame", (0.0, 1.0), (0.0, 1.02))},
     "lens-shift-equals-sensor-shift": {
         "edge": Criterion("rms between the edge MTFs up to 6 LP/mm", (0.0, 0.02), (0.0, 0.05)),
-        "grating": Criterion("rms between the gratings", (0.0, 0.02), (0.0, 0.05)),
-    },
+        "grating": Criterion("rms between the gratings", (0.0, 0.02), (0.0, 0.05))},
     "near-half-pixel-limit": {
         "edge": Criterion("edge MTF above |sinc| of half a pixel, 2 to 5 LP/mm", (0.0, 0.2),
                           (-0.1, 0.3)),
         "grating": Criterion("grating above the same, 2 to 5 LP/mm", (0.0, 0.2), (-0.1, 0.3)),
-        "agree": _AGREE,
-    },
+        "agree": _AGREE},
     "resolution-nearly-doubles": {
         "width": Criterion("10-90 width of the edge, frame over result", (1.7, 2.3), (1.5, 3.0)),
         "agree": _AGREE,
         "reaches": Criterion("LP/mm up to which a grating is no more than 0.05 below |sinc| of "
-                             "half a pixel", *_UPTO),
-    },
+                             "half a pixel", *_UPTO)},
     "stair-steps-fall": {
         "steps": Criterion("rms of the edge about its line, over that in a frame", (0.0, 0.8),
                            (0.0, 1.0)),
-        "width": Criterion("10-90 width over that of the frame", (0.0, 1.0), (0.0, 1.1)),
-    },
+        "width": Criterion("10-90 width over that of the frame", (0.0, 1.0), (0.0, 1.1))},
     "amplitude-gradient-doubles": {
-        "gain": Criterion("mean gain of the gradient", (1.7, 2.3), (1.5, 3.0)),
-    },
+        "gain": Criterion("mean gain of the gradient", (1.7, 2.3), (1.5, 3.0))},
     "distance-gradient-triples": {
-        "gain": Criterion("mean gain of the gradient", (3.0, _ANY), (2.5, _ANY)),
-    },
-    "calibration-explains-distance": {
-        # From 3 to 2 is a ratio of 0.67; half of that way is 0.83.
-        "ratio": Criterion("gain with the traced shift map over that without", (0.0, 0.83),
-                           (0.0, 0.95)),
-    },
-    "psf-0.3-best": {
-        "width": Criterion("width with the least error of the amplitude, px", (0.275, 0.325),
-                           (0.25, 0.35)),
-    },
-    "known-shifts-help": {
-        "ratio": Criterion("error with known over that with wrong shifts", (0.0, 1.0), (0.0, 1.02)),
-    },
-    "irwsr-above-farsiu": {
-        "ratio": Criterion("error of IRWSR over that of L1 and BTV", (0.0, 1.0), (0.0, 1.02)),
-    },
+        "gain": Criterion("mean gain of the gradient", (3.0, _ANY), (2.5, _ANY))},
+    # From 3 to 2 is a ratio of 0.67; half of that way is 0.83.
+    "calibration-explains-distance": {"ratio": Criterion(
+        "gain with the traced shift map over that without", (0.0, 0.83), (0.0, 0.95))},
+    "psf-0.3-best": {"width": Criterion(
+        "width with the least error of the amplitude, px", (0.275, 0.325), (0.25, 0.35))},
+    "known-shifts-help": {"ratio": Criterion(
+        "error with known over that with wrong shifts", (0.0, 1.0), (0.0, 1.02))},
+    "irwsr-above-farsiu": {"ratio": Criterion(
+        "error of IRWSR over that of L1 and BTV", (0.0, 1.0), (0.0, 1.02))},
 }  # fmt: skip
 
 
