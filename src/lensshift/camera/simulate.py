@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lensshift.camera.channels import Seen, Tones
 from lensshift.camera.flat import QUARTER_SQUARE_PX, checked_plan
@@ -61,7 +61,7 @@ class TofTruth:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RawPhases:
+class RawPhases(Reading):
     """The four phase images behind a burst.
 
     Parameters
@@ -74,11 +74,6 @@ class RawPhases:
     modulation_hz : [frequency]
     """
 
-    difference: Array
-    electrons_per_count: Floats
-    exposure: NDArray[np.uint8]
-    gain: NDArray[np.uint8]
-    saturated: Mask
     modulation_hz: tuple[float, ...]
 
 
@@ -269,15 +264,12 @@ def _burst(
     return Burst(
         amplitude=np.stack([image.amplitude for image in images]),
         distance_m=np.stack([image.distance_m for image in images]),
-        valid=np.stack([image.valid for image in images]),
-        offset_px=planned_px,
-        offset_sigma_px=np.full(planned_px.shape, float(shift_error_px)),
-        grid=camera.grid,
+        valid=np.stack([image.valid for image in images]), offset_px=planned_px,
+        offset_sigma_px=np.full(planned_px.shape, float(shift_error_px)), grid=camera.grid,
         modulation_hz=camera.illumination.modulation_hz,
         phasors=np.stack(sent, axis=1) if sent and len(sent[0]) > 1 else None,
-        intrinsics=intrinsics_of(camera),
-        meta={**notes, **camera.settings()},
-    )
+        intrinsics=intrinsics_of(camera), meta={**notes, **camera.settings()},
+    )  # fmt: skip
 
 
 def _o3m(images: list[Image]) -> O3mImages | None:

@@ -12,19 +12,17 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
 from lensshift.core.threads import bands, core_count, on_threads
-
-Starts = NDArray[np.int64]
+from lensshift.forward.blur import Starts
 
 WORTH_THREADS = 2**16  # pixels of frames or image: below, waking a thread takes as long as the work
 # Only the contraction of a * b + c is allowed to differ from strict arithmetic.
 _FAST = {"contract"}
 
 
-def regular_runs(start: Starts, weight: Array, stride: int) -> NDArray[np.int64]:
+def regular_runs(start: Starts, weight: Array, stride: int) -> Starts:
     """Return [frame 2] begin and end of the run of taps, equal and a stride apart, in the middle.
 
     Parameters

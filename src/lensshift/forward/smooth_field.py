@@ -11,11 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
-
-Starts = NDArray[np.int64]
+from lensshift.forward.blur import Starts
 
 _FAST = {"contract"}
 _MOST_SPARE = 3  # taps that a pixel may lack at either side of a row: more cost more than they save

@@ -183,14 +183,11 @@ def burst_of_capture(
         stacked = {name: np.stack([one[name] for one in each]) for name in names}
         known = {name: stacked.get(name) for name in ("offset_px", *FRAME_FIELDS)}
         return Burst.from_arrays(
-            stacked["amplitude"],
-            pitch_mm=header["pitch_mm"],
+            stacked["amplitude"], pitch_mm=header["pitch_mm"],
             modulation_hz=header.get("modulation_hz"),
-            offset_source=header.get("offset_source", "planned"),
-            raw=_raw(stacked),
-            meta={**header.get("meta", {}), "step": stacked["step"].tolist()},
-            **known,
-        )
+            offset_source=header.get("offset_source", "planned"), raw=_raw(stacked),
+            meta={**header.get("meta", {}), "step": stacked["step"].tolist()}, **known,
+        )  # fmt: skip
     except DataError as error:
         raise error.in_file(source) from error
     except (KeyError, ValueError, TypeError) as error:

@@ -237,12 +237,9 @@ def _fit_of(state: _State, spread: Array, reference: int, *, converged: bool) ->
     shifts = np.arange(len(spread)) % kinds < 2
     covariance[np.ix_(places, places)] = spread[np.ix_(shifts, shifts)]
     return ShiftFit(
-        offset_px=state.offset_px,
-        covariance_px2=covariance,
-        gain=np.exp(state.log_gain),
-        noise_sigma=float(np.sqrt(state.spectrum.noise_power)),
-        converged=converged,
-    )
+        offset_px=state.offset_px, covariance_px2=covariance, gain=np.exp(state.log_gain),
+        noise_sigma=float(np.sqrt(state.spectrum.noise_power)), converged=converged,
+    )  # fmt: skip
 
 
 def _newton(
