@@ -13,6 +13,10 @@ from lensshift.core.arrays import Array, Floats, frozen
 from lensshift.core.motion import ShiftField, StageMap
 from lensshift.core.types import Burst
 
+# Fields that are two numbers (row, col), and widths that may not be known.
+PAIRS = ("rest_mm", "play_mm", "play_sigma_mm", "drift_px_per_s", "drift_sigma_px_per_s")
+WIDTHS = ("psf_sigma_px", "psf_sigma_sigma_px")
+
 
 def _zeros() -> Floats:
     return np.zeros(2)
@@ -49,14 +53,12 @@ class Calibration:
     notes: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in (
-            "rest_mm", "play_mm", "play_sigma_mm", "drift_px_per_s", "drift_sigma_px_per_s",
-        ):  # fmt: skip
+        for name in PAIRS:
             value = np.asarray(getattr(self, name), dtype=np.float64)
             if value.shape != (2,) or not np.all(np.isfinite(value)):
                 raise ValueError(f"expected two finite numbers {name} (row, col), got {value}")
             object.__setattr__(self, name, frozen(value))
-        for name in ("psf_sigma_px", "psf_sigma_sigma_px"):
+        for name in WIDTHS:
             width_px = getattr(self, name)
             if width_px is not None and not 0.0 <= width_px < np.inf:
                 raise ValueError(f"expected a {name} of at least 0, got {width_px}")

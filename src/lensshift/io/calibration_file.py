@@ -9,17 +9,15 @@ from typing import Any
 import numpy as np
 
 from lensshift.core.atomic import write_text
-from lensshift.core.calibration import Calibration
+from lensshift.core.calibration import PAIRS, WIDTHS, Calibration
 from lensshift.core.errors import DataError
 from lensshift.core.motion import StageMap
 from lensshift.core.settings import fit, parse_json, read_text, settings_of
 
 SCHEMA = "lensshift-calibration/1"
-_PAIRS = ("rest_mm", "play_mm", "play_sigma_mm", "drift_px_per_s", "drift_sigma_px_per_s")
-_NUMBERS = ("psf_sigma_px", "psf_sigma_sigma_px")
 # Field -> its axes; a field is there, or may be null or missing.
-_NEEDED = {"px_per_mm": 2, "sigma_px": 0, **dict.fromkeys(_PAIRS, 1)}
-_OPTIONAL = {"px_per_mm_sigma": 2, "field_px_per_mm": 4, **dict.fromkeys(_NUMBERS, 0)}
+_NEEDED = {"px_per_mm": 2, "sigma_px": 0, **dict.fromkeys(PAIRS, 1)}
+_OPTIONAL = {"px_per_mm_sigma": 2, "field_px_per_mm": 4, **dict.fromkeys(WIDTHS, 0)}
 
 
 def save_calibration(calibration: Calibration, path: str | Path) -> None:
@@ -37,7 +35,7 @@ def calibration_content(calibration: Calibration) -> dict[str, Any]:
         "px_per_mm": stage_map.px_per_mm,
         "px_per_mm_sigma": calibration.px_per_mm_sigma,
         "sigma_px": stage_map.sigma_px,
-        **{name: getattr(calibration, name) for name in (*_PAIRS, *_NUMBERS)},
+        **{name: getattr(calibration, name) for name in (*PAIRS, *WIDTHS)},
         "notes": dict(calibration.notes),
         "field_px_per_mm": stage_map.field_px_per_mm,
     }

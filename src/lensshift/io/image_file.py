@@ -303,7 +303,10 @@ def pixel_size_mm(path: str | Path) -> tuple[float, float] | None:
             if tags.valueof("Software") == SOFTWARE and not unit:
                 in_cm = tags.valueof("ResolutionUnit") == tifffile.RESUNIT.CENTIMETER
                 unit = "cm" if in_cm else ""
-            found = _tagged_size_mm(tags, _MM.get(unit.strip().lower()))
+            unit_mm = _MM.get(unit.strip().lower(), 0.0)
+            row, col = (tags.valueof(f"{axis}Resolution") or (0, 0) for axis in "YX")
+            known = unit_mm and all((*row, *col))
+            found = (unit_mm * row[1] / row[0], unit_mm * col[1] / col[0]) if known else None
     return found if found and all(0 < size < 1e6 for size in found) else None
 
 
@@ -316,14 +319,6 @@ def _ome_size_mm(xml: str) -> tuple[float, float] | None:
         if size is None or factor is None:
             return None
         sizes.append(float(size[1]) * factor)
-    return sizes[0], sizes[1]
-
-
-def _tagged_size_mm(tags: Any, unit_mm: float | None) -> tuple[float, float] | None:
-    ratios = [tags.valueof(f"{axis}Resolution") for axis in "YX"]
-    if unit_mm is None or not all(ratio and ratio[0] and ratio[1] for ratio in ratios):
-        return None
-    sizes = [unit_mm * ratio[1] / ratio[0] for ratio in ratios]
     return sizes[0], sizes[1]
 
 

@@ -24,17 +24,17 @@ def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
     require_file(path)
     suffix = Path(path).suffix.lower()
     with reading(path):
-        if suffix in image_file.TIFF_SUFFIXES and (values := _colour_tiff(path, frame)) is not None:
-            return _plain(values)
-        if (
-            suffix in (*image_file.JPEG_SUFFIXES, ".png")
-            and (values := _colour_pillow(path)) is not None
-        ):
+        tiff = suffix in image_file.TIFF_SUFFIXES
+        values = _colour_tiff(path, frame) if tiff else None
+        if suffix in (*image_file.JPEG_SUFFIXES, ".png"):
+            values = _colour_pillow(path)
+        if values is None:
+            frames = image_file.load_frames(path)
+            _check_frame(frame, len(frames))
+            return np.asarray(frames[frame])
+        if not tiff:
             _check_frame(frame, 1)
-            return _plain(values)
-        frames = image_file.load_frames(path)
-        _check_frame(frame, len(frames))
-        return np.asarray(frames[frame])
+        return values[..., 0] if np.all(values == values[..., :1]) else values
 
 
 def load_jpeg_steps(path: str | Path) -> NDArray[np.float64] | None:
@@ -64,11 +64,6 @@ def load_oecf(path: str | Path) -> NDArray[np.float64]:
     if len(rows) < 2:
         raise DataError("expected two lines of level,light or more", source=path)
     return np.array(rows)
-
-
-def _plain(values: NDArray[Any]) -> NDArray[Any]:
-    """Return [row col] if all colours are equal."""
-    return values[..., 0] if np.all(values == values[..., :1]) else values
 
 
 def _check_frame(frame: int, count: int) -> None:

@@ -37,10 +37,8 @@ def residual_over_noise(result: Reconstruction) -> float | None:
 
     None where the method does not compare them.
     """
-    for estimate in result.channels.values():
-        if estimate.misfit is not None:
-            return float(np.sqrt(np.nanmean(estimate.misfit)))
-    return None
+    misfits = (one.misfit for one in result.channels.values() if one.misfit is not None)
+    return next((float(np.sqrt(np.nanmean(one))) for one in misfits), None)
 
 
 def one_frame(picture: Picture) -> dict[str, Array]:
