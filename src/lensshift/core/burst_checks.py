@@ -77,9 +77,8 @@ def as_valid(valid: Array, frames: Array) -> Mask:
     if mask.ndim == 0 or mask.shape in (frames.shape[1:], (1, *frames.shape[1:])):
         mask = np.broadcast_to(mask, frames.shape)
     if mask.shape != frames.shape:
-        raise DataError(
-            f"expected shape {frames.shape} like amplitude, got {mask.shape}", field="valid"
-        )
+        problem = f"expected shape {frames.shape} like amplitude, got {mask.shape}"
+        raise DataError(problem, field="valid")
     if mask.dtype.kind not in "bui":
         raise DataError(f"expected booleans, got dtype {mask.dtype}", field="valid")
     mask = mask.astype(np.bool_)
@@ -92,8 +91,8 @@ def check_finite_where_valid(values: Array, valid: Mask, name: str) -> None:
     """Refuse NaN and infinity in pixels that are to be used, and sizes that have no square."""
     if values.dtype.kind in "ui":
         return
-    bad = int(np.count_nonzero(~np.isfinite(values) & valid))
-    if bad == int(np.count_nonzero(valid)):
+    bad = np.count_nonzero(~np.isfinite(values) & valid)
+    if bad == np.count_nonzero(valid):
         raise DataError("every valid pixel is NaN or infinite", field=name)
     if bad:
         problem = f"{bad} of {values.size} pixels are NaN or infinite; mark them False in `valid`"
@@ -177,9 +176,8 @@ def as_frequencies(given: Any) -> float | tuple[float, ...] | None:
     try:
         found = np.asarray(given, np.float64)
     except (TypeError, ValueError) as error:
-        raise DataError(
-            f"expected frequencies, got {given!r:.80}", field="modulation_hz"
-        ) from error
+        problem = f"expected frequencies, got {given!r:.80}"
+        raise DataError(problem, field="modulation_hz") from error
     if found.ndim > 1 or found.size == 0 or not np.all(np.isfinite(found) & (found > 0)):
         raise DataError(f"expected a positive frequency, got {given}", field="modulation_hz")
     several = tuple(found.ravel().tolist())
@@ -193,9 +191,7 @@ def as_phasors(
 ) -> NDArray[np.complex128]:
     """Return phasors [frequency frame row col], as many as frequencies, finite where valid."""
     phasors = np.asarray(given)
-    count = (
-        len(modulation_hz) if isinstance(modulation_hz, tuple) else int(modulation_hz is not None)
-    )
+    count = 0 if modulation_hz is None else np.size(modulation_hz)
     frames = phasors.shape[1:] if valid is None else valid.shape
     if count == 0:
         raise DataError("expected as many frequencies as phasors have", field="modulation_hz")

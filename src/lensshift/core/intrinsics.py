@@ -197,15 +197,13 @@ class PixelDirections:
         """
         if scale == 1:
             return self
+        from scipy.interpolate import make_interp_spline
+
         fine: Any = self.direction
+        if min(fine.shape[:2]) < 2:
+            raise ValueError(f"expected at least two rows and columns to refine, got {fine.shape}")
         for axis in (0, 1):
             count = fine.shape[axis]
-            if count < 2:
-                raise ValueError(
-                    f"expected at least two rows and columns to refine, got {self.direction.shape}"
-                )
-            from scipy.interpolate import make_interp_spline
-
             spline = make_interp_spline(np.arange(count), fine, k=min(3, count - 1), axis=axis)
             fine = spline(hr_to_lr(np.arange(count * scale), scale))
         return PixelDirections(fine)

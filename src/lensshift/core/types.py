@@ -99,10 +99,8 @@ class Burst(Shown, AsDataset, AsTable):
         frames = checks.as_frames(self.amplitude, "amplitude")
         count = frames.shape[0]
         if frames.shape[1:] != self.grid.shape:
-            raise DataError(
-                f"expected frames of the grid's shape {self.grid.shape}, got {frames.shape[1:]}",
-                field="amplitude",
-            )
+            problem = f"expected frames of the grid's shape {self.grid.shape}"
+            raise DataError(f"{problem}, got {frames.shape[1:]}", field="amplitude")
         valid = checks.as_valid(self.valid, frames)
         checks.check_finite_where_valid(frames, valid, "amplitude")
         settle: dict[str, Any] = {"amplitude": frames, "valid": valid}
@@ -127,15 +125,14 @@ class Burst(Shown, AsDataset, AsTable):
             self.intrinsics.check_fits(self.grid.shape)
         for name, values in self.raw.items():
             if np.ndim(values) < 1 or len(values) != count:
-                raise DataError(
-                    f"expected one entry a frame, got shape {np.shape(values)}", field=f"raw_{name}"
-                )
+                problem = f"expected one entry a frame, got shape {np.shape(values)}"
+                raise DataError(problem, field=f"raw_{name}")
+        frequencies = settle.pop("modulation_hz")
+        settle = {name: frozen(value) for name, value in settle.items()}
+        settle["raw"] = {name: frozen(values) for name, values in self.raw.items()}
+        settle |= {"modulation_hz": frequencies, "meta": dict(self.meta)}
         for name, value in settle.items():
-            kept = value if name == "modulation_hz" else frozen(value)
-            object.__setattr__(self, name, kept)
-        raw = {name: frozen(values) for name, values in self.raw.items()}
-        object.__setattr__(self, "raw", raw)
-        object.__setattr__(self, "meta", dict(self.meta))
+            object.__setattr__(self, name, value)
 
     @classmethod
     def from_arrays(
@@ -223,12 +220,9 @@ class Burst(Shown, AsDataset, AsTable):
 
     def select(self, frames: Sequence[int]) -> Burst:
         """Return the burst that holds only the given frames, in the given order."""
-        index = np.asarray(list(frames), dtype=np.intp)
-        if index.size == 0 or index.min() < -self.frame_count or index.max() >= self.frame_count:
-            raise ValueError(
-                f"expected frame numbers from 0 to {self.frame_count - 1}, got {list(frames)}"
-            )
-
+        index, count = np.asarray(list(frames), dtype=np.intp), self.frame_count
+        if index.size == 0 or index.min() < -count or index.max() >= count:
+            raise ValueError(f"expected frame numbers from 0 to {count - 1}, got {list(frames)}")
         each = {name: getattr(self, name) for name in ("amplitude", "offset_px", *FRAME_FIELDS)}
         kept: dict[str, Any] = {n: None if one is None else one[index] for n, one in each.items()}
         phasors = None if self.phasors is None else self.phasors[:, index]

@@ -68,7 +68,17 @@ def export_image(
         raise ValueError(f"expected a name that ends in .tif or .png, got {Path(path).name!r}")
     if values.ndim != 2:
         raise ValueError(f"expected [row col] for PNG, got shape {values.shape}")
-    return _write_png(values, path, bits, black, white)
+    from PIL import Image, PngImagePlugin
+
+    low, high = finite_range(values)
+    low, high = low if black is None else float(black), high if white is None else float(white)
+    picture = Image.fromarray(to_grey(values, low, high, bits=bits))
+    text = PngImagePlugin.PngInfo()
+    text.add_text("black", repr(low))
+    text.add_text("white", repr(high))
+    with written_whole(path) as temporary:
+        picture.save(temporary, format="PNG", pnginfo=text)
+    return low, high
 
 
 def to_grey(
@@ -215,26 +225,6 @@ def _write_tiff(
     with written_whole(path) as temporary:
         tifffile.imwrite(temporary, values, **tags)
     return finite_range(values)
-
-
-def _write_png(
-    values: NDArray[Any],
-    path: str | Path,
-    bits: Literal[8, 16],
-    black: float | None,
-    white: float | None,
-) -> tuple[float, float]:
-    from PIL import Image, PngImagePlugin
-
-    low, high = finite_range(values)
-    low, high = low if black is None else float(black), high if white is None else float(white)
-    picture = Image.fromarray(to_grey(values, low, high, bits=bits))
-    text = PngImagePlugin.PngInfo()
-    text.add_text("black", repr(low))
-    text.add_text("white", repr(high))
-    with written_whole(path) as temporary:
-        picture.save(temporary, format="PNG", pnginfo=text)
-    return low, high
 
 
 def is_ome(path: str | Path) -> bool:
