@@ -38,7 +38,7 @@ class NoiseLaw:
 
     Parameters
     ----------
-    sigma : root of the mean variance
+    sigma : root of the mean variance, of a usual frame if they differ
     a, b : level and slope
     darkest, brightest : range of light that was seen; beyond it the variance is that at its end
     ceiling : whether texture may be in all that was seen, and there is less noise
@@ -84,9 +84,9 @@ class NoiseLaw:
     def of_other_frames(self, variance: Floats, light: float) -> NoiseLaw:
         """Return the law of frames [frame] that have these variances where the light is this."""
         relative = variance / max(float(self.variance(np.array(light))), 1e-300)
-        mean = float(relative.mean())
-        of_frames = tuple((relative / mean).tolist())
-        return replace(self.times(math.sqrt(mean)), of_frames=of_frames)
+        usual = float(np.median(relative))
+        of_frames = tuple((relative / usual).tolist())
+        return replace(self.times(math.sqrt(usual)), of_frames=of_frames)
 
     def variance(self, light: Array) -> Floats:
         """Return the variance at each pixel, [frame row col] if it differs between frames."""
