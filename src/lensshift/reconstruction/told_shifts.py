@@ -16,6 +16,7 @@ from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
 from lensshift.reconstruction.learned.pattern import without_pattern
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.phasor.choice import Choice
+from lensshift.reconstruction.phasor.rounding import differ_by_rounding
 from lensshift.reconstruction.pixel_response import averaged, has_phasors
 from lensshift.reconstruction.quick_shifts import found_variance_px2
 from lensshift.reconstruction.shift_check import (
@@ -104,7 +105,8 @@ def _looked_at(
 ) -> tuple[Glance | None, Doubt | None]:
     shifts = part.offset_px if shift_field is None else shift_field.offset_px
     look = glance(_averages(part), shifts, part.valid)
-    return look, None if look is None else doubtful_shifts(look, scale)
+    doubt = None if look is None else doubtful_shifts(look, scale)
+    return look, None if doubt is None or differ_by_rounding(part) else doubt
 
 
 def _mended(told: Told, look: Glance, request: Request) -> Told:

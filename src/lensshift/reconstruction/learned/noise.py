@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Floats
 from lensshift.reconstruction.clipping import silent_pixels
 from lensshift.reconstruction.frame_noise import with_frames
 from lensshift.reconstruction.noise import light_of
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, noise_law
-from lensshift.reconstruction.problem import Problem, some_pixels
+from lensshift.reconstruction.problem import Problem
+from lensshift.reconstruction.rounding import shared_rounding, step_of
 
 # Training went down to noise of 2e-4 (SNR 4000); the median standard deviation of a scene is 0.15:
 # of less the weights have seen nothing, and errors of the model are larger.
@@ -21,12 +22,6 @@ LEAST_SHARE = 2e-4 / 0.15
 LEAST_SIGMA = 1e-7
 # Shifts that differ less over the sensor are one shift: what they are told to.
 EVEN_SHIFT_PX = 0.05
-# Numbers are on levels if each is there so many times; a drawing without noise has fewer levels.
-MOST_DIFFERENT, FEWEST_LEVELS = 4, 12
-# So many pixels are asked: finer levels than a quarter of them are less than any noise that counts.
-MOST_PIXELS = 2048
-# Of the error of rounding, so many that the rest is 1 % of its variance.
-HARMONICS = np.arange(1, 61)
 # Noise that is read beside fine detail may be three times the truth (the worst of 232 cases).
 UNLIKE = 5.0
 # Fewer frames show no frequency that a scene hardly reaches.
@@ -49,7 +44,7 @@ def noise_map(problem: Problem, known: NoiseLaw | None = None) -> tuple[NoiseLaw
     Infinite where a pixel must not be used.
     """
     law, used = noise_of(problem, known), problem.weight > 0
-    rounding = _step(problem.y, used) / math.sqrt(12)
+    rounding = _step(problem) / math.sqrt(12)
     least = max(LEAST_SHARE * float(np.std(problem.y[used])), LEAST_SIGMA, rounding)
     variance = np.maximum(law.variance(light_of(problem.y, used)), least**2)
     variance = variance / np.where(used, problem.weight, 1.0)
@@ -72,29 +67,16 @@ def doubt_about_noise(problem: Problem) -> str | None:
 
 
 def rounded_std(problem: Problem, law: NoiseLaw) -> float:
-    """Return the error that all pixels of a surface share since their numbers are on levels.
+    """Return the error that all pixels of a surface share since their numbers are on levels."""
+    return float(shared_rounding(_step(problem), np.array(law.sigma)))
 
-        q^2 = step^2 / (2 pi^2) sum_k exp(-4 pi^2 k^2 d) / k^2,   d = sigma^2 / step^2 - 1 / 12
 
-    step / sqrt(12) without noise; a third of a step of it dithers nearly all away. Source: Widrow
-    and Kollar, Quantization Noise (2008).
-    """
-    if (step := _step(problem.y, problem.weight > 0)) == 0.0:
+def _step(problem: Problem) -> float:
+    """Return the distance between the levels that light is on, 0 if it is on none."""
+    if problem.y.dtype.kind == "c":
         return 0.0
-    dither, k = max(law.sigma**2 / step**2 - 1 / 12, 0.0), HARMONICS
-    shared = np.sum(np.exp(-4 * np.pi**2 * k**2 * dither) / k**2) / (2 * np.pi**2)
-    return step * math.sqrt(shared)
-
-
-def _step(y: Array, used: Mask) -> float:
-    """Return the distance between the levels that real numbers are on, 0 if they are on none."""
-    if y.dtype.kind == "c":
-        return 0.0
-    some = some_pixels(y, used, MOST_PIXELS)
-    levels = np.unique(some)
-    if not FEWEST_LEVELS <= levels.size <= some.size / MOST_DIFFERENT:
-        return 0.0
-    return float(np.min(np.diff(levels)))
+    as_sent = problem.y * problem.intensity + problem.level
+    return step_of(as_sent, problem.weight > 0) / problem.intensity
 
 
 def _estimated_noise(problem: Problem) -> NoiseLaw:

@@ -33,6 +33,7 @@ from lensshift.reconstruction.misfit import ESTIMATED
 from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, doubt_about_phases
 from lensshift.reconstruction.phasor.reach import within_reach
+from lensshift.reconstruction.phasor.rounding import Steps
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, make_problem, predictor
 
@@ -151,11 +152,15 @@ def _one_frequency(
     part = burst.select(request.frames)
     frames = polar_frames(part)
     problem = make_problem(part, frames.phasor, **seen)
-    sigma = noise_map(problem, request.law)[2]
+    steps = Steps.of(problem, part, frames)
+    sigma = np.maximum(noise_map(problem, request.law)[2], steps.least_noise(problem))
     used = problem.weight > 0
     typical = float(np.median(sigma[used]))
     if method == "auto":
         found = _learned(problem, sigma, request)
+        told = np.asarray(found.std) if request.std else None
+        if told is not None:
+            found = replace(found, uncertainty=np.hypot(told, steps.shared(problem, sigma)))
     else:
         found = _linear(replace(problem, noise_sigma=float(sigma[used].min())), method, request)
     settled, phase_rad = settle_turns(frames, typical * problem.intensity), np.angle(found.image)

@@ -92,6 +92,14 @@ class PolarFrames:
         """A exp(i phi), [frame row col]."""
         return from_polar(self.amplitude, self.phase_rad)
 
+    @property
+    def parts(self) -> Floats:
+        """[2 frame row col] real and imaginary part of the phasors as the camera has them."""
+        z = from_polar(
+            self.amplitude, self.phase_rad + self.scale.rad_per_m * self.scale.reference_m
+        )
+        return np.stack([z.real, z.imag])
+
 
 def from_polar(amplitude: Array, phase_rad: Array) -> NDArray[np.complex128]:
     """Return A exp(i phi); of the two parts, it costs half as much."""

@@ -1,0 +1,93 @@
+"""What rounded numbers do to frames with distances: what their surfaces share, and do not tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.types import Burst
+from lensshift.forward.operator import mean_seen, single
+from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
+from lensshift.reconstruction.problem import Problem
+from lensshift.reconstruction.rounding import shared_rounding, step_of
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Between the levels that numbers of frames are on, 0 if they are on none.
+
+    Parameters
+    ----------
+    parts, light : of the real and imaginary part, and of the amplitude, in units of a problem
+    phase_rad : of the distance, as a phase
+    """
+
+    parts: float
+    light: float
+    phase_rad: float
+
+    @classmethod
+    def of(cls, problem: Problem, part: Burst, frames: PolarFrames) -> Steps:
+        """Return those of some frames, which the problem and the polar frames hold as well."""
+        used, light, phase_rad = problem.weight > 0, 0.0, 0.0
+        if part.distance_m is not None:
+            light = step_of(part.amplitude, used) / problem.intensity
+            phase_rad = step_of(part.distance_m, used) * frames.scale.rad_per_m
+        parts = step_of(frames.parts, np.stack([used, used])) / problem.intensity
+        return cls(parts, light, phase_rad)
+
+    def least_noise(self, problem: Problem) -> Floats:
+        """Return the noise [frame row col] of a component that rounding alone makes."""
+        along, across = self.light**2, (self.phase_rad * np.abs(problem.y)) ** 2
+        return np.sqrt((self.parts**2 + 0.5 * (along + across)) / 12)
+
+    def shared(self, problem: Problem, sigma: Floats) -> tuple[Floats, Floats]:
+        """Return the error of amplitude and phase [row col] that is left to all of a surface.
+
+        Parameters
+        ----------
+        sigma : [frame row col] noise of a component; infinite where a pixel is not used
+        """
+        used = np.isfinite(sigma)
+        noise, light = np.where(used, sigma, 0.0), np.maximum(np.abs(problem.y), 1e-12)
+        of_parts, of_light = (shared_rounding(step, noise) for step in (self.parts, self.light))
+        of_phase = shared_rounding(self.phase_rad, noise / light)
+        A, weight = problem.model.operator, single(used)
+        amplitude, phase = (
+            np.sqrt(mean_seen(A, single(np.where(used, square, 0.0)), weight))
+            for square in (of_parts**2 + of_light**2, (of_parts / light) ** 2 + of_phase**2)
+        )
+        return amplitude, phase
+
+
+def differ_by_rounding(part: Burst) -> bool:
+    """Return whether frames differ by no more than levels do: nothing tells where they lie.
+
+    Half a step (rms): what is rounded alike moves with the pixels, and not with the scene.
+    """
+    valid = part.valid
+    if part.distance_m is None and part.amplitude.dtype.kind != "c":
+        return _within(part.amplitude, valid)
+    frames = polar_frames(part)
+    if _within(frames.parts, np.stack([valid, valid])):
+        return True
+    if part.distance_m is None or not _within(part.distance_m, valid):
+        return False
+    light = float(np.median(frames.amplitude[valid]))
+    of_distance = light * frames.scale.rad_per_m * _apart(part.distance_m, valid)
+    return of_distance > _apart(frames.amplitude, valid)
+
+
+def _within(values: Array, valid: Mask) -> bool:
+    step = step_of(values, valid)
+    return step > 0.0 and _apart(values, valid) <= step / 2
+
+
+def _apart(values: Array, valid: Mask) -> float:
+    """Return by how much numbers [... frame row col] differ between frames, rms."""
+    everywhere = valid.all(axis=-3, keepdims=True)
+    apart = values - values.mean(axis=-3, keepdims=True)
+    on = np.broadcast_to(everywhere, values.shape)
+    return float(np.sqrt(np.mean(apart[on] ** 2))) if on.any() else np.inf
