@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 
@@ -59,37 +60,43 @@ def estimate_photometry(A: LinearOperator, y: Array, weight: Array) -> tuple[Flo
     return gain, bias
 
 
-def seems_lit(found: Estimate, frames: Array, valid: Mask, request: Request) -> bool:
-    """Return whether frames contradict a picture as they do that differ in brightness.
+def in_one_light(
+    found: Estimate,
+    frames: Array,
+    valid: Mask,
+    request: Request,
+    allowing: Callable[[], Estimate],
+    *,
+    stacklevel: int = 2,
+) -> Estimate:
+    """Return the estimate that allows for other brightness of frames, if that was all there was.
 
-    Not of a stream, whose pictures follow its light, and not where it was allowed for.
-    """
-    said = found.notes.get("contradiction", "")
-    if not said or request.streamed or request.photometric or frames.dtype.kind == "c":
-        return False
-    return ESTIMATED in said or bool(unequal_brightness(frames, valid))
+    Frames that show less of a scene, as of one that turned, look darker as well. Nothing is asked
+    of a stream, whose pictures follow its light, nor where it was allowed for.
 
-
-def of_one_light(found: Estimate, again: Estimate, *, stacklevel: int = 2) -> Estimate:
-    """Return the second estimate, which allows for other brightness, if that was all there was.
-
-    Frames that show less of a scene, as of one that turned, look darker as well.
+    Parameters
+    ----------
+    found : of the frames [frame row col], which `valid` belong to
+    allowing : finds the estimate that allows for it
 
     Warns
     -----
     QualityWarning
-        Then.
+        If it was, or if the means of the frames differ.
     """
-    said, left = (one.notes.get("contradiction", "") for one in (found, again))
-    if left:
+    if request.streamed or request.photometric:
         return found
-    differ = said.partition(":")[0] if ESTIMATED in said else "the frames differ in brightness"
-    warnings.warn(
-        f"{differ}: the picture allows for it, by a gain and a bias of each frame (in its notes)",
-        QualityWarning,
-        stacklevel=stacklevel + 1,
-    )
-    return again
+    differ, said = unequal_brightness(frames, valid), found.notes.get("contradiction", "")
+    if frames.dtype.kind != "c" and (ESTIMATED in said or (said and differ)):
+        again = allowing()
+        if not again.notes.get("contradiction"):
+            how = "the frames differ in brightness"
+            how = said.partition(":")[0] if ESTIMATED in said else how
+            done = "the picture allows for it, by a gain and a bias of each frame (in its notes)"
+            differ, found = f"{how}: {done}", again
+    if differ:
+        warnings.warn(differ, QualityWarning, stacklevel=stacklevel + 1)
+    return found
 
 
 def std_of_level(image: Floats, gain: Floats, bias: Floats) -> Floats:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array
-from lensshift.core.defects import doubts_about_frames
+from lensshift.core.defects import colour_mosaic, unequal_brightness
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
@@ -31,8 +32,7 @@ from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, Choice, choose_channel
 from lensshift.reconstruction.photometry import (
     estimate_photometry,
-    of_one_light,
-    seems_lit,
+    in_one_light,
     std_of_level,
 )
 from lensshift.reconstruction.pixel_response import as_seen, told_response, undone
@@ -189,6 +189,9 @@ def _estimates(
 ) -> tuple[dict[str, Estimate], Array | None]:
     """Reconstruct both channels from phasors, with what flies, or each on its own."""
     if channel == "phasor":
+        light = part.amplitude, part.valid
+        if not request.streamed and (differ := unequal_brightness(*light)):
+            warnings.warn(differ, QualityWarning, stacklevel=3)
         both = reconstruct_phasor(burst, chosen.name, request, seen)
         return {"amplitude": both.amplitude, "distance": both.distance_m}, both.flying
     found: dict[str, Estimate] = {}
@@ -206,10 +209,11 @@ def _estimates(
             problem = problem.with_brightness(part.amplitude)
         own = replace(request, law=None, still_std=0.0) if key == "distance" else request
         found[key] = _solve(burst, problem, chosen, own, seen["shift_field"])
-        if key == "amplitude" and seems_lit(found[key], values, part.valid, request):
+        if key == "amplitude":
             bright = replace(own, photometric=True, law=None)
-            again = _solve(burst, problem, chosen, bright, seen["shift_field"])
-            found[key] = of_one_light(found[key], again, stacklevel=3)
+            again = partial(_solve, burst, problem, chosen, bright, seen["shift_field"])
+            light = values, part.valid
+            found[key] = in_one_light(found[key], *light, request, again, stacklevel=3)
     return found, None
 
 
@@ -337,10 +341,8 @@ def _parts(burst: Burst, used: tuple[int, ...], request: Request) -> tuple[Burst
     if not request.streamed:
         burst = without_copies(without_blank(burst, used, stacklevel=3), used, stacklevel=3)
     part = burst if used == tuple(range(burst.frame_count)) else burst.select(used)
-    if not request.streamed:
-        doubts = doubts_about_frames(part.amplitude, part.valid, photometric=request.photometric)
-        for said in doubts:
-            warnings.warn(said, QualityWarning, stacklevel=3)
+    if not request.streamed and (said := colour_mosaic(part.amplitude, part.valid)):
+        warnings.warn(said, QualityWarning, stacklevel=3)
     return burst, part
 
 
