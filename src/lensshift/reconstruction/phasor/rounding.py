@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,8 +10,8 @@ from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.types import Burst
 from lensshift.forward.operator import mean_seen, single
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
-from lensshift.reconstruction.problem import Problem
-from lensshift.reconstruction.rounding import shared_rounding, step_of
+from lensshift.reconstruction.problem import Problem, some_pixels
+from lensshift.reconstruction.rounding import MOST_PIXELS, shared_rounding, step_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +35,12 @@ class Steps:
         if part.distance_m is not None:
             light = step_of(part.amplitude, used) / problem.intensity
             phase_rad = step_of(part.distance_m, used) * frames.scale.rad_per_m
-        parts = step_of(frames.parts, np.stack([used, used])) / problem.intensity
-        return cls(parts, light, phase_rad)
+        some = replace(
+            frames,
+            amplitude=some_pixels(frames.amplitude, used, MOST_PIXELS),
+            phase_rad=some_pixels(frames.phase_rad, used, MOST_PIXELS),
+        ).parts
+        return cls(step_of(some, np.ones(some.shape, bool)) / problem.intensity, light, phase_rad)
 
     def least_noise(self, problem: Problem) -> Floats:
         """Return the noise [frame row col] of a component that rounding alone makes."""
@@ -50,13 +54,14 @@ class Steps:
         ----------
         sigma : [frame row col] noise of a component; infinite where a pixel is not used
         """
-        used = np.isfinite(sigma)
+        A, used = problem.model.operator, np.isfinite(sigma)
+        if not (self.parts or self.light or self.phase_rad):
+            return np.zeros(A.in_shape), np.zeros(A.in_shape)
         noise, light = np.where(used, sigma, 0.0), np.maximum(np.abs(problem.y), 1e-12)
         of_parts, of_light = (shared_rounding(step, noise) for step in (self.parts, self.light))
         of_phase = shared_rounding(self.phase_rad, noise / light)
-        A, weight = problem.model.operator, single(used)
         amplitude, phase = (
-            np.sqrt(mean_seen(A, single(np.where(used, square, 0.0)), weight))
+            np.sqrt(mean_seen(A, single(np.where(used, square, 0.0)), single(used)))
             for square in (of_parts**2 + of_light**2, (of_parts / light) ** 2 + of_phase**2)
         )
         return amplitude, phase
