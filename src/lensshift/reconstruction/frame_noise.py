@@ -96,11 +96,11 @@ def _variances(
     if calm is None:
         return None
     white, spread, leak = _white(*geometry, len(parts))
-    energy, error = calm.energy / white, SURE / np.sqrt(len(parts) * calm.count)
+    energy, error = calm.energy / white, 1.0 / np.sqrt(len(parts) * calm.count)
     unlike = np.log(np.maximum(calm.high, TINY) / np.maximum(calm.energy * spread, TINY))
-    if np.any(unlike > SPREAD_ERROR * error) or energy.min() < ROUNDED:
+    if np.any(unlike > SURE * SPREAD_ERROR * error) or energy.min() < ROUNDED:
         return None
-    variance, differs = _unmixed(energy, leak, LOW_ERROR * error / SURE)
+    variance, differs = _unmixed(energy, leak, LOW_ERROR * error)
     return variance * unit**2, float(calm.light.mean()), differs
 
 
@@ -148,7 +148,7 @@ def _white(
     noise = np.random.default_rng(0).standard_normal((parts, WINDOWS, count, *shape), np.float32)
     found = _calm(fits, noise, np.ones(noise.shape[1:], np.bool_), noise[0])
     leak = np.mean(np.abs(fits.response[MIDDLE][0]) ** 2, axis=(2, 3))
-    if found is None:  # nor is anything asked, where not even these are enough
+    if found is None:  # nor will frames tell anything
         return np.ones(count), np.ones(count), leak
     return found.energy, found.high / found.energy, leak / leak.sum(axis=1, keepdims=True)
 
