@@ -7,7 +7,7 @@ residuals evenly; a shift that was not told, something that moved, another gain 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import find_objects, label, maximum, maximum_filter
@@ -101,6 +101,11 @@ class Misfit:
         if self.lit or self.shifts_wrong:
             return False
         return bool(self.off_px or self.doubt.max(initial=0.0) > 1.0)
+
+    @property
+    def withdrawn(self) -> Misfit:
+        """The same without contradictions."""
+        return replace(self, doubt=np.minimum(self.doubt, 1.0), off_px={}, brightness=0.0)
 
     @property
     def shifts_wrong(self) -> bool:

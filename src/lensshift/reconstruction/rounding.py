@@ -58,3 +58,19 @@ def shared_rounding(step: float, sigma: Array) -> Floats:
     square = np.sum(np.exp(-4 * np.pi**2 * k**2 * _DITHER) / k**2, axis=0) / (2 * np.pi**2)
     dither = np.maximum(sigma**2 / step**2 - 1 / 12, 0.0)
     return np.asarray(step * np.sqrt(np.interp(dither, _DITHER, square, right=0.0)))
+
+
+def within_rounding(values: Array, used: Mask) -> bool:
+    """Return whether numbers [... frame row col] differ between frames by half a step at most.
+
+    Then nothing tells where they lie, or moved: what is rounded alike stays with the pixels.
+    """
+    step = step_of(values, used)
+    return step > 0.0 and apart_rms(values, used) <= step / 2
+
+
+def apart_rms(values: Array, used: Mask) -> float:
+    """Return by how much numbers [... frame row col] differ from the mean of frames, rms."""
+    apart = values - values.mean(axis=-3, keepdims=True)
+    on = np.broadcast_to(used.all(axis=-3, keepdims=True), values.shape)
+    return float(np.sqrt(np.mean(apart[on] ** 2))) if on.any() else np.inf

@@ -13,7 +13,7 @@ from lensshift.core.types import Estimate, Status
 from lensshift.reconstruction.learned.behind_spots import wider_behind_spots
 from lensshift.reconstruction.learned.belief import as_predicted, refuted
 from lensshift.reconstruction.learned.finer import finer_grid, of_larger_pixels, seen_finer
-from lensshift.reconstruction.learned.noise import noise_map, rounded_std
+from lensshift.reconstruction.learned.noise import noise_map, rounded_std, tells_little
 from lensshift.reconstruction.learned.phasors import finished, with_finer_amplitude
 from lensshift.reconstruction.learned.residual import less_noise
 from lensshift.reconstruction.learned.solver import Asked, Solution, solve_together
@@ -170,7 +170,10 @@ def _solved_once(problem: Problem, request: Request, asked: Asked) -> tuple[Solu
     if asked.of_phasors:
         solve = partial(_picture, request=request)
         found = finished(asked, found, problem.scale, solve)
-    return found, find_misfit(A, found.image, asked.y, noise, problem.scale)
+    misfit = find_misfit(A, found.image, asked.y, noise, problem.scale)
+    if (misfit.lit or misfit.curable or misfit.shifts_wrong) and tells_little(problem):
+        return found, misfit.withdrawn
+    return found, misfit
 
 
 def _as_they_fit(
@@ -223,8 +226,8 @@ def _seen_otherwise(problem: Problem, noise: Floats, misfit: Misfit, request: Re
     for finer, moved_px in grids:
         other = model.on_grid(finer, moved_px).crop(rows, cols)
         clipped = None if problem.clipped is None else problem.clipped[:, rows, cols]
-        y = np.ascontiguousarray(problem.y[:, rows, cols])
-        part = replace(problem, model=other, y=y, clipped=clipped)
+        y, weight = (np.ascontiguousarray(a[:, rows, cols]) for a in (problem.y, problem.weight))
+        part = replace(problem, model=other, y=y, weight=weight, clipped=clipped)
         sigma = np.where(other.inside, noise[:, rows, cols], np.inf)
         asked = Asked(other, part.y, sigma, blur_width_px(other.blur))
         _, again = _solved_once(part, request, asked)

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Array, Floats
 from lensshift.reconstruction.clipping import silent_pixels
 from lensshift.reconstruction.frame_noise import with_frames
 from lensshift.reconstruction.noise import light_of
 from lensshift.reconstruction.noise_law import NoiseLaw, constant_noise, noise_law
 from lensshift.reconstruction.problem import Problem
-from lensshift.reconstruction.rounding import shared_rounding, step_of
+from lensshift.reconstruction.rounding import shared_rounding, step_of, within_rounding
 
 # Training went down to noise of 2e-4 (SNR 4000); the median standard deviation of a scene is 0.15:
 # of less the weights have seen nothing, and errors of the model are larger.
@@ -71,12 +71,21 @@ def rounded_std(problem: Problem, law: NoiseLaw) -> float:
     return float(shared_rounding(_step(problem), np.array(law.sigma)))
 
 
+def tells_little(problem: Problem) -> bool:
+    """Return whether the frames of light differ by the rounding of their numbers alone."""
+    light = problem.y.dtype.kind != "c"
+    return light and within_rounding(_as_sent(problem), problem.weight > 0)
+
+
 def _step(problem: Problem) -> float:
     """Return the distance between the levels that light is on, 0 if it is on none."""
     if problem.y.dtype.kind == "c":
         return 0.0
-    as_sent = problem.y * problem.intensity + problem.level
-    return step_of(as_sent, problem.weight > 0) / problem.intensity
+    return step_of(_as_sent(problem), problem.weight > 0) / problem.intensity
+
+
+def _as_sent(problem: Problem) -> Array:
+    return np.asarray(problem.y * problem.intensity + problem.level)
 
 
 def _estimated_noise(problem: Problem) -> NoiseLaw:

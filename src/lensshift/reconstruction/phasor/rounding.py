@@ -6,12 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Floats
 from lensshift.core.types import Burst
 from lensshift.forward.operator import mean_seen, single
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.problem import Problem, some_pixels
-from lensshift.reconstruction.rounding import MOST_PIXELS, shared_rounding, step_of
+from lensshift.reconstruction.rounding import (
+    MOST_PIXELS,
+    apart_rms,
+    shared_rounding,
+    step_of,
+    within_rounding,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,31 +74,15 @@ class Steps:
 
 
 def differ_by_rounding(part: Burst) -> bool:
-    """Return whether frames differ by no more than levels do: nothing tells where they lie.
-
-    Half a step (rms): what is rounded alike moves with the pixels, and not with the scene.
-    """
+    """Return whether frames differ by no more than levels do, as `within_rounding` has it."""
     valid = part.valid
     if part.distance_m is None and part.amplitude.dtype.kind != "c":
-        return _within(part.amplitude, valid)
+        return within_rounding(part.amplitude, valid)
     frames = polar_frames(part)
-    if _within(frames.parts, np.stack([valid, valid])):
+    if within_rounding(frames.parts, np.stack([valid, valid])):
         return True
-    if part.distance_m is None or not _within(part.distance_m, valid):
+    if part.distance_m is None or not within_rounding(part.distance_m, valid):
         return False
     light = float(np.median(frames.amplitude[valid]))
-    of_distance = light * frames.scale.rad_per_m * _apart(part.distance_m, valid)
-    return of_distance > _apart(frames.amplitude, valid)
-
-
-def _within(values: Array, valid: Mask) -> bool:
-    step = step_of(values, valid)
-    return step > 0.0 and _apart(values, valid) <= step / 2
-
-
-def _apart(values: Array, valid: Mask) -> float:
-    """Return by how much numbers [... frame row col] differ between frames, rms."""
-    everywhere = valid.all(axis=-3, keepdims=True)
-    apart = values - values.mean(axis=-3, keepdims=True)
-    on = np.broadcast_to(everywhere, values.shape)
-    return float(np.sqrt(np.mean(apart[on] ** 2))) if on.any() else np.inf
+    of_distance = light * frames.scale.rad_per_m * apart_rms(part.distance_m, valid)
+    return of_distance > apart_rms(frames.amplitude, valid)

@@ -1,4 +1,4 @@
-"""Phasors whose numbers are on levels: what a surface shares of that is in the error bars."""
+"""Numbers that are on few levels: what a surface shares of that, and what frames do not tell."""
 
 from __future__ import annotations
 
@@ -66,3 +66,19 @@ def test_noise_dithers_what_is_shared() -> None:
         told = shared_rounding(1.0, np.array(np.hypot(sigma, np.sqrt(1 / 12))))
         assert told == pytest.approx(shared, abs=0.004)
     assert shared_rounding(0.0, np.array(1.0)) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_slope_on_few_levels_contradicts_nothing(seed: int) -> None:
+    rng = np.random.default_rng([seed, 6])
+    offset_px = rng.uniform(-0.6, 0.6, (int(rng.integers(4, 10)), 2))
+    row, col = np.indices(SHAPE)
+    down, right = rng.uniform(-0.2, 0.2, 2)
+    moved = offset_px[:, :, None, None]
+    light = 30.0 + down * (row - moved[:, 0]) + right * (col - moved[:, 1])
+    light += rng.uniform(0.0, 0.3) * rng.standard_normal(light.shape)
+    burst = Burst.from_arrays(np.round(light), offset_px=offset_px, pitch_mm=0.1)
+    found = reconstruct(burst).amplitude  # warnings are errors
+    fine_row, fine_col = np.indices([2 * n for n in SHAPE]) / 2 - 0.25
+    error = (found.image - 30.0 - down * fine_row - right * fine_col)[3:-3, 3:-3]
+    assert np.mean(np.abs(error) < 2 * found.std[3:-3, 3:-3]) > 0.93
