@@ -205,6 +205,9 @@ def say_channels(current: Session, result: Reconstruction) -> None:
             if number is not None:
                 unit = " m" if (name, label) == ("distance", "noise_sigma") else ""
                 current.say(f"  {label.replace('_', ' '):<13}{number:.4g}{unit}")
+        if of_frames := estimate.notes.get("noise_of_frames"):
+            channels[name]["noise_of_frames"] = of_frames
+            current.say(f"  {'of frames':<13}{', '.join(f'{sigma:.3g}' for sigma in of_frames)}")
         if unseen := estimate.notes.get("unseen"):
             channels[name]["unseen"] = unseen
             share = f"{100 * unseen:.2g} % of the pixels, drawn as what is beside them"
