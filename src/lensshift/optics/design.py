@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from lensshift.optics.gaps import MOST_ELEMENTS, Effort, best_gaps, train_lens
+from lensshift.optics.gaps import MOST_ELEMENTS, Effort, best_gaps, none_reaches, train_lens
 from lensshift.optics.goal import Goal
 from lensshift.optics.lens import Element, Lens
 from lensshift.optics.shift import decenter_for_shift, largest_error_px
@@ -100,11 +100,7 @@ def optimise_gaps(
         if on_progress is not None:
             on_progress(done, len(choices))
     if not found:
-        raise ValueError(
-            f"expected elements that reach a focal length of {goal.focal_length_mm} mm with "
-            f"{goal.back_focal_mm} mm in front of the sensor, got none in {len(choices)} "
-            "orientations"
-        )
+        raise none_reaches([turned_train(elements, one) for one in choices], goal, "orientations")
     _, gaps_mm, train, turned = max(found, key=lambda one: one[0])
     return assess(train_lens(train, gaps_mm, goal, name), goal, element, turned)
 

@@ -66,8 +66,7 @@ def best_gaps(
         raise ValueError(
             f"expected the stop behind fewer than {len(train)} elements, got {goal.stop_behind}"
         )
-    beside = train[max(goal.stop_behind - 1, 0)].surfaces[-1 if goal.stop_behind else 0]
-    if goal.stop.diameter_mm > 2.0 * beside.semi_diameter_mm:
+    if goal.stop.diameter_mm > _widest_stop_mm(train, goal):
         return None
     search = _Search(train, goal, element, effort)
     free = len(train) - 2
@@ -85,6 +84,22 @@ def best_gaps(
         best = max(best, found, key=lambda one: one.score)
         step_mm = step_mm / _ZOOM
     return None if best.score <= _IMPOSSIBLE else (best.score, best.gaps_mm)
+
+
+def none_reaches(trains: Sequence[tuple[Element, ...]], goal: Goal, what: str) -> ValueError:
+    """Return what to say where `best_gaps` finds nothing for any of the trains."""
+    widest_mm = max(_widest_stop_mm(train, goal) for train in trains)
+    if goal.stop.diameter_mm > widest_mm:
+        return ValueError(
+            f"expected a stop no wider than the lens beside it, {widest_mm:g} mm, got "
+            f"{goal.stop.diameter_mm:g} mm"
+        )
+    return ValueError(
+        f"expected lenses that reach a focal length of {goal.focal_length_mm} mm with "
+        f"{goal.back_focal_mm} mm in front of the sensor and {100 * goal.transmission:g} % of the "
+        f"light through the stop of {goal.stop.diameter_mm:g} mm at every field, got none in "
+        f"{len(trains)} {what}"
+    )
 
 
 def train_lens(train: tuple[Element, ...], gaps_mm: Floats, goal: Goal, name: str = "") -> Lens:
@@ -141,7 +156,8 @@ class _Search:
         if behind:
             room_mm = goal.stop.position_mm + goal.clearance_mm
             self.least_mm[behind - 1] = max(self.least_mm[behind - 1], room_mm)
-        lens = train_lens(train, np.append(self.least_mm, goal.least_back_mm), goal)
+        self.least_back_mm = _least_back_mm(train[-1], goal)
+        lens = train_lens(train, np.append(self.least_mm, self.least_back_mm), goal)
         # Between elements the stop goes where the one in front of it goes.
         riding = replace(lens.stop, rides_on=behind - 1) if behind else lens.stop
         self.base = replace(lens, stop=riding)
@@ -160,14 +176,14 @@ class _Search:
         if not len(trains.gain):
             return _Found(_IMPOSSIBLE, np.empty(0), 0.0)
         image_mm, step_mm = trains.gaps_mm[:, -1], plane_mm * self.unit
-        first_mm = np.maximum(aside_mm, goal.least_back_mm - image_mm)
+        first_mm = np.maximum(aside_mm, self.least_back_mm - image_mm)
         positions = POSITIONS if self.element is not None else POSITIONS[:1]
         wanted_mm = goal.shift_px * np.asarray(goal.grid.pitch_mm) * positions
         moves = np.zeros((len(image_mm), len(positions), 1, len(self.base.elements), 2))
         if self.element is not None:
             moves[:, :, 0, self.element] = wanted_mm / trains.gain[:, None, None]
         gap_mm = np.zeros((len(image_mm), len(self.base.elements)))
-        gap_mm[:, : len(self.matrices)] = trains.gaps_mm - [*self.least_mm, goal.least_back_mm]
+        gap_mm[:, : len(self.matrices)] = trains.gaps_mm - [*self.least_mm, self.least_back_mm]
         fields = field_tan(goal, trains.magnification, self.effort.fields, self.pupil_mm)
         build = Build(decenter_mm=moves, gap_mm=gap_mm[:, None, None])
         azimuths_rad = np.linspace(0.0, np.pi, self.effort.azimuths, endpoint=False)
@@ -227,7 +243,7 @@ class _Search:
         gain = np.ones(len(gaps_mm))
         if self.element is not None:
             gain = gains_of(self.matrices, gaps_mm)[:, self.element]
-        reach_mm = goal.least_back_mm - self.unit * (_ASIDE_MM + _PLANE_MM * _PLANES)
+        reach_mm = self.least_back_mm - self.unit * (_ASIDE_MM + _PLANE_MM * _PLANES)
         kept = (image_mm > max(reach_mm, 0.0)) & (np.abs(gain) > _LEAST_GAIN)
         return _Trains(gaps_mm[kept], magnification[kept], gain[kept])
 
@@ -250,6 +266,12 @@ def field_tan(
     return np.asarray(np.asarray(shares) * half_mm / image_mm[:, None, None])
 
 
+def _widest_stop_mm(train: tuple[Element, ...], goal: Goal) -> float:
+    """Return the clear diameter of the surface beside the stop."""
+    beside = train[max(goal.stop_behind - 1, 0)].surfaces[-1 if goal.stop_behind else 0]
+    return 2.0 * beside.semi_diameter_mm
+
+
 def _least_gap_mm(front: Element, back: Element, clearance_mm: float) -> float:
     """Return the shortest gap that leaves the clearance between two elements everywhere."""
     before, behind = front.surfaces[-1], back.surfaces[0]
@@ -257,3 +279,15 @@ def _least_gap_mm(front: Element, back: Element, clearance_mm: float) -> float:
     heights_mm = np.linspace(0.0, edge_mm if math.isfinite(edge_mm) else 0.0, 65)
     room_mm = behind.sag_mm(heights_mm) - before.sag_mm(heights_mm)
     return float(np.ceil((clearance_mm - room_mm.min()) * 10**_DIGITS) / 10**_DIGITS)
+
+
+def _least_back_mm(last: Element, goal: Goal) -> float:
+    """Return the least distance from the last vertex to the sensor if there were no cover.
+
+    The edge of a hollow last surface must not reach into the cover.
+    """
+    if goal.cover is None:
+        return goal.back_focal_mm
+    before_mm = goal.back_focal_mm - goal.cover.length_mm - goal.cover_mm
+    room_mm = _least_gap_mm(last, goal.cover, goal.clearance_mm)
+    return goal.cover_path_mm + max(room_mm, before_mm)

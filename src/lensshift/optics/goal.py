@@ -96,14 +96,6 @@ class Goal:
         return sum(t / refractive_index(glass, *light) for t, glass in parts) + self.cover_mm
 
     @property
-    def least_back_mm(self) -> float:
-        """Least distance from the last vertex to the sensor if there were no cover."""
-        if self.cover is None:
-            return self.back_focal_mm
-        behind_mm = self.cover.length_mm + self.cover_mm
-        return self.cover_path_mm + max(self.clearance_mm, self.back_focal_mm - behind_mm)
-
-    @property
     def judged_lpmm(self) -> float:
         """The frequency of the MTF."""
         return judged_lpmm(self.grid, self.frequency_lpmm)

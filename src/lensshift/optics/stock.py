@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import product
 
 from lensshift.optics.design import Design, assess, orientations, turned_train
-from lensshift.optics.gaps import Effort, best_gaps, train_lens
+from lensshift.optics.gaps import Effort, best_gaps, none_reaches, train_lens
 from lensshift.optics.goal import Goal
 from lensshift.optics.lens import Element, Lens
 
@@ -68,10 +68,7 @@ def search_stock(
             if on_progress is not None:
                 on_progress(len(trains) + rank * len(moving) + number, total)
     if not designs:
-        raise ValueError(
-            f"expected lenses that reach a focal length of {goal.focal_length_mm} mm with "
-            f"{goal.back_focal_mm} mm in front of the sensor, got none in {len(trains)} trains"
-        )
+        raise none_reaches([turned_train(*one) for one in trains], goal, "trains")
     return tuple(sorted(designs, key=lambda one: (not one.meets(goal), -one.mtf_moved)))
 
 
