@@ -59,6 +59,23 @@ def test_refocus_takes_back_a_sensor_that_is_off() -> None:
     assert there.mtf == pytest.approx(here.mtf, abs=5e-3)
 
 
+@pytest.mark.parametrize("away_mm", [0.011, 0.02, -0.1, 0.9])
+def test_refocus_finds_the_focus_of_fast_lenses_and_small_pixels(away_mm: float) -> None:
+    """At f/1.2 and pixels of 10 um light is told apart from 12 um to 12 um, whatever was told."""
+    lens, grid = load_lens("wide_940"), Grid((60, 80), (0.01, 0.01))
+    off = lens.with_sensor(lens.gaps_mm[-1] + away_mm)
+    there, here = (tolerance_analysis(one, 1, grid, NONE, builds=1) for one in (off, lens))
+    assert there.refocus_mm - here.refocus_mm == pytest.approx(-away_mm, abs=0.01)
+    assert there.nominal_mtf.min() == pytest.approx(here.nominal_mtf.min(), abs=0.02)
+    focused = lens.with_sensor(lens.gaps_mm[-1] + here.refocus_mm[0])
+    around = [focused.with_sensor(focused.gaps_mm[-1] + one) for one in (-0.004, 0.004)]
+    fields = edge_fields(lens, grid)
+    least = [
+        fast_mtf(one, fields, [100.0], AZIMUTHS_RAD, rings=3).min() for one in (focused, *around)
+    ]
+    assert max(least[1:]) < least[0]
+
+
 def test_builds_do_not_depend_on_how_many_are_made() -> None:
     seen: list[tuple[int, int]] = []
     many = tolerance_analysis(
