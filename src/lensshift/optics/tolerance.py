@@ -4,33 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import warn_quality
 from lensshift.core.grid import Grid
-from lensshift.optics.focus import scan_focus, spot_means
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.pupil import pupil_quadrature
+from lensshift.optics.refocus import COARSE, FocusScan
 from lensshift.optics.shift import decenter_for_shift
 from lensshift.optics.spots import obstruction
-from lensshift.optics.trace import Build, RayBundle, trace
-from lensshift.optics.which import AZIMUTHS_RAD, POSITIONS, edge_fields, judged_lpmm
+from lensshift.optics.trace import Build, trace
+from lensshift.optics.which import POSITIONS, edge_fields, judged_lpmm
 
-_RINGS = 3  # MTF within 0.002
-_CHUNK = 100  # builds traced at once
-# The refocus: half a step off costs a sharp image 1e-4 of its MTF, which falls with the blur by
-# (pi / 2 away / depth)^2 / 2, depth = f-number / frequency.
-_FINE = math.sqrt(32e-4) / math.pi  # step over depth
-_FINER = 8  # fine steps in a coarse one, which costs 0.006
-_MOST = 250  # coarse steps to either side: a hundred times as far as light is told apart
-# Of what a spot at its smallest would be from defocus: the paraxial focus of a lens with spherical
-# aberration, towards which the focus of coarse patterns lies, is 2.8 away.
-_BEYOND = 3.0
+# Rings of rays: a build gets more until none of its MTF changes by as much.
+_RINGS, _SURE = (3, 4, 6), 5e-3
+_CHUNK = 100  # builds looked at at once
+_MOST_RAYS = 1e6  # traced at once
 # Rows of the random numbers [build row element] that each tolerance uses.
 _KINDS = {"decentre": (0, 1), "tilt": (2, 3), "gap": (4,), "focal length": (5,), "index": (6,)}
 _OF_GLASS = ("focal length", "index")  # what mirrors do not have
@@ -288,72 +283,53 @@ class _Bench:
         self.frequency_lpmm = judged_lpmm(grid, frequency_lpmm)
         self.refocus_mm = refocus_mm
         depth_mm = paraxial(lens).working_f_number / self.frequency_lpmm
-        self.coarse_mm = _FINER * _FINE * depth_mm
+        self.coarse_mm = COARSE * depth_mm
         self.fields = edge_fields(lens, grid)
         self.moves = np.zeros((len(POSITIONS), 1, len(lens.elements), 2))
         moves_mm = decenter_for_shift(lens, element, shift_px * POSITIONS[1:], grid)
         self.moves[1:, 0, element] = moves_mm
         self.inner = obstruction(lens)
-        self.points, self.weight = pupil_quadrature(_RINGS, inner=self.inner)
 
     def measure(self, build: Build) -> tuple[Floats, Floats, Floats]:
         """Return MTF [build position field azimuth], shifts [build move field 2], refocus."""
-        decenter_mm = self.moves if build.decenter_mm is None else build.decenter_mm + self.moves
-        build = Build(decenter_mm, build.tilt_rad, build.gap_mm, build.index_factor)
-        rays = trace(self.lens, self.fields, self.points, build=build)
-        away_mm = self._refocus(rays)
-        behind_mm = away_mm[:, None, None]
-        mtf = self._scan(rays, behind_mm, 0.0, 1)[..., 0]
-        _, centroid_mm, slope = spot_means(rays, self.weight)
-        at_mm = centroid_mm + behind_mm[..., None] * slope
+        moved = self.moves if build.decenter_mm is None else build.decenter_mm + self.moves
+        build = replace(build, decenter_mm=moved)
+        look = self._look(build, _RINGS[0])
+        away_mm = look.sharpest_mm(self.refocus_mm)
+        mtf, at_mm = look.at(away_mm)
+        left = np.arange(len(away_mm))
+        for rings in _RINGS[1:]:
+            at_once = max(1, int(_MOST_RAYS / (mtf[0, ..., 0].size * 4 * rings**2)))
+            parts = np.split(left, range(at_once, len(left), at_once))
+            differ = [self._closer(build, one, rings, mtf, at_mm, away_mm) for one in parts]
+            left = np.concatenate(differ)
         return mtf, (at_mm[:, 1:] - at_mm[:, :1]) / self.pitch_mm, away_mm
 
-    def _refocus(self, rays: RayBundle) -> Floats:
-        """Return where the least MTF over positions and fields [build ...] is largest, [build]."""
-        first_mm, last_mm = self._sharp_between(rays)
-        middle_mm = 0.5 * (first_mm + last_mm)
-        coarse = np.ceil((last_mm - middle_mm) / self.coarse_mm).clip(0, _MOST)
-        best_mm = middle_mm
-        for step_mm, steps in (
-            (self.coarse_mm, coarse), (self.coarse_mm / _FINER, np.full_like(coarse, _FINER))
-        ):  # fmt: skip
-            most = int(steps.max())
-            from_mm = best_mm - step_mm * most
-            mtf = self._scan(rays, from_mm[:, None, None], step_mm, 1 + 2 * most)
-            least = mtf.min(axis=(1, 2, 3))
-            # What one build is moved does not depend on the others.
-            least[np.abs(np.arange(-most, most + 1)) > steps[:, None]] = -1.0
-            best_mm = from_mm + step_mm * least.argmax(axis=-1)
-        return np.asarray(best_mm.clip(-self.refocus_mm, self.refocus_mm))
+    def _closer(
+        self, build: Build, some: NDArray[np.intp], rings: int, mtf: Floats, at_mm: Floats,
+        away_mm: Floats,
+    ) -> NDArray[np.intp]:  # fmt: skip
+        """Look at some builds with more rays; refocus and return those of which these tell more."""
+        if not some.size:
+            return some
+        look = self._look(_part(build, some), rings)
+        found, at_mm[some] = look.at(away_mm[some])
+        differs = np.abs(found - mtf[some]).max(axis=(1, 2, 3)) > _SURE
+        mtf[some], some = found, some[differs]
+        if some.size:
+            look = look.part(differs)
+            away_mm[some] = look.sharpest_mm(self.refocus_mm)
+            mtf[some], at_mm[some] = look.at(away_mm[some])
+        return some
 
-    def _sharp_between(self, rays: RayBundle) -> tuple[Floats, Floats]:
-        """Return the first and last place [build] of the sensor where any spot may be sharp.
+    def _look(self, build: Build, rings: int) -> FocusScan:
+        points, weight = pupil_quadrature(rings, inner=self.inner)
+        rays = trace(self.lens, self.fields, points, build=build)
+        light = (self.frequency_lpmm, self.lens.wavelength_nm)
+        return FocusScan(rays, weight, rings, *light, self.coarse_mm, self.inner)
 
-        A spot is smallest at -cov(x, u) / var(u) of its rays at x with the slopes u.
-        """
-        _, centroid_mm, mean = spot_means(rays, self.weight)
-        alive = np.where(rays.passed, self.weight, 0.0)
-        slope = rays.direction[..., :2] / rays.direction[..., 2:] - mean[..., None, :]
-        from_centre_mm = rays.position_mm - centroid_mm[..., None, :]
 
-        def sum_of(one: Floats, other: Floats) -> Floats:
-            product_of = np.where(rays.passed[..., None], one * other, 0.0)
-            return np.asarray(np.einsum("...r,...ri->...", alive, product_of))
-
-        spread = sum_of(slope, slope)
-        spread[~(spread > 0.0)] = np.nan  # no light, or a single ray
-        at_mm = -sum_of(from_centre_mm, slope) / spread
-        left = np.maximum(sum_of(from_centre_mm, from_centre_mm) / spread - at_mm**2, 0.0)
-        room_mm = _BEYOND * np.sqrt(left)
-        limits = (
-            np.fmin.reduce(at_mm - room_mm, axis=(1, 2)),
-            np.fmax.reduce(at_mm + room_mm, axis=(1, 2)),
-        )
-        first_mm, last_mm = np.nan_to_num(limits).clip(-self.refocus_mm, self.refocus_mm)
-        return first_mm, last_mm
-
-    def _scan(self, rays: RayBundle, first_mm: Floats, step_mm: float, planes: int) -> Floats:
-        return scan_focus(
-            rays, self.weight, _RINGS, self.frequency_lpmm, AZIMUTHS_RAD, self.lens.wavelength_nm,
-            first_mm=first_mm, step_mm=step_mm, planes=planes, inner=self.inner,
-        )  # fmt: skip
+def _part(build: Build, chosen: NDArray[np.intp]) -> Build:
+    """Return some of the builds."""
+    parts = (getattr(build, one.name) for one in fields(build))
+    return Build(*(None if one is None else one[chosen] for one in parts))
