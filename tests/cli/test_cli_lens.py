@@ -1,12 +1,18 @@
 """`lensshift lens`."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from stand_in import Call, Refused, answer
 
+from lensshift.core.grid import Grid
 from lensshift.io import load_burst, load_lens_field
+from lensshift.optics.lens import Element, Lens, Stop, Surface
+from lensshift.optics.lens_file import save_lens
+from lensshift.optics.spots import spots
+from lensshift.optics.which import edge_fields
 
 
 def numbers(call: Call, *arguments: object) -> dict[str, object]:
@@ -144,6 +150,22 @@ def test_which_compares_all_elements(call: Call, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_light_that_is_lost_is_told_once_for_the_field_that_loses_most(
+    call: Call, tmp_path: Path
+) -> None:
+    front = Surface(20.0, semi_diameter_mm=3.6)
+    glass = Element((front, Surface(-30.0, semi_diameter_mm=3.6)), ("N-BK7",), (3.0,), name="a")
+    lens = Lens((glass,), (22.5,), Stop(6.0, -8.0))
+    save_lens(lens, tmp_path / "cut.toml")
+    sensor = "--sensor", "80x30", "--pitch-mm", 0.155
+    (said,) = numbers(call, "which", tmp_path / "cut.toml", *sensor)["warnings"]  # type: ignore[misc]
+    lost = 1.0 - spots(lens, edge_fields(lens, Grid((30, 80), (0.155, 0.155)))).transmission.min()
+    percent = re.search(r"degrees \(row / column\) loses (\d+) % of its light", said)
+    assert percent is not None
+    assert 100 * lost - 0.5 < int(percent[1]) < 100 * lost + 15  # moved, a little more
+    assert "most of it at surface 1 (surface 1 of a)" in said
+
+
 def test_report_tells_and_draws_all(call: Call, tmp_path: Path) -> None:
     page, sensor = tmp_path / "page.html", ("--sensor", "62x13", "--pitch-mm", "0.2,0.155")
     found = numbers(call, "report", "petzval_a", *sensor, "--band-nm", "40")

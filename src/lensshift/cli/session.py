@@ -18,7 +18,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 
 from lensshift.core.ending import Closing, ended_by_signals, interruption
-from lensshift.core.errors import QualityWarning, printable
+from lensshift.core.errors import QualityWarning, WorstWarning, printable
 from lensshift.core.settings import to_json
 
 JsonOption = Annotated[
@@ -54,6 +54,7 @@ class Session:
     warnings: list[str] = field(default_factory=list)
     failed: bool = False  # whether the verb ends with 1 although it could be carried out
     waiting: Waiting | None = None
+    worst: WorstWarning | None = None  # of those that are told once, in the end
 
     def say(self, text: str) -> None:
         """Print a line for people; nothing with --json."""
@@ -90,12 +91,21 @@ class Session:
 
     def warn(self, message: Warning | str, *_: Any, **__: Any) -> None:
         """Print a warning once, on one line (takes what `warnings.showwarning` is given)."""
+        if isinstance(message, WorstWarning):
+            if self.worst is None or message.worse > self.worst.worse:
+                self.worst = message
+            return
         text = printable(" ".join(str(message).split()))
         if text not in self.warnings:
             self.warnings.append(text)
             if self.waiting is not None:
                 self.waiting.end_line()
             typer.echo(f"warning: {text}", err=True)
+
+    def tell_worst(self) -> None:
+        """Print the warning of which only the worst is told."""
+        if self.worst is not None:
+            self.warn(str(self.worst))
 
 
 @contextmanager
@@ -106,7 +116,10 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
     with ended_by_signals(), warnings.catch_warnings(action="always", category=QualityWarning):
         warnings.showwarning = current.warn
         try:
-            yield current
+            try:
+                yield current
+            finally:
+                current.tell_worst()
         except typer.Exit:  # a RuntimeError in the eyes of Python
             raise
         except (KeyboardInterrupt, *_FAILURES) as error:

@@ -74,9 +74,23 @@ class QualityWarning(UserWarning):
     """The data are poor but usable; the message says by how much."""
 
 
-def warn_quality(problem: str, stacklevel: int = 2) -> None:
+class WorstWarning(QualityWarning):
+    """One of several that say the same of different things: the worst of them is enough.
+
+    Parameters
+    ----------
+    problem : what is wrong
+    worse : the larger, the worse
+    """
+
+    def __init__(self, problem: str, worse: float) -> None:
+        super().__init__(problem)
+        self.worse = worse
+
+
+def warn_quality(problem: str | QualityWarning, stacklevel: int = 2) -> None:
     """Give a `QualityWarning`, about the line that `warnings.warn` would name from here."""
-    warnings.warn(problem, QualityWarning, stacklevel=stacklevel + 1)
+    warnings.warn(problem, QualityWarning, stacklevel=stacklevel + 1)  # a warning keeps its class
 
 
 class DeviceError(RuntimeError):

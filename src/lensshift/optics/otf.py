@@ -146,7 +146,7 @@ def pupils(
         rays = trace(lens, field_tan, points, build=build, wavelength_nm=nm, heights=True)
         if rays.path_mm.ndim != 1:
             raise ValueError(f"expected one field and one build, got {rays.path_mm.shape[:-1]}")
-        traced.append((rays, spots_of_rays(lens, rays, weight)))
+        traced.append((rays, spots_of_rays(lens, field_tan, rays, weight)))
     share = np.array([w * s.transmission for (_, w), (_, s) in zip(light, traced, strict=True)])
     share = share / share.sum()
     centre = share @ np.stack([spot.centroid_mm for _, spot in traced])
@@ -165,7 +165,7 @@ def pupils_of_fields(
     """
     points, weight = pupil_quadrature(_RINGS, _ARMS)
     rays = trace(lens, field_tan, points, build=build, heights=True)
-    spot = spots_of_rays(lens, rays, weight)
+    spot = spots_of_rays(lens, field_tan, rays, weight)
     return [
         _fit(lens, _one_of(rays, n), _one_of(spot, n), points, weight, spot.centroid_mm[n])
         for n in range(len(field_tan))

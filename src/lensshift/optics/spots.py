@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import warn_quality
+from lensshift.core.errors import WorstWarning, warn_quality
 from lensshift.optics.lens import Lens
 from lensshift.optics.paraxial import matrices_around_stop, paraxial
 from lensshift.optics.pupil import midpoints, pupil_quadrature
@@ -17,6 +17,7 @@ from lensshift.optics.trace import Build, RayBundle, trace
 
 CENTROID_RINGS = 2  # of the pupil: the centroid is smooth
 _FIELD_STEPS = 30  # a wide lens with distortion needs more than a few
+_LITTLE = 0.5  # of the light
 _TELLING = 0.01  # share of a step that must show in the image to learn from it
 _AXIAL_RAYS = 2000  # rings of the pupil, by which an obstruction is known
 _SETTLING_STEPS = 10  # after which the same rays count: one at an edge would come and go
@@ -66,7 +67,7 @@ def spots(
     """
     points, weight = pupil_quadrature(rings, inner=obstruction(lens))
     rays = trace(lens, field_tan, points, build=build, wavelength_nm=wavelength_nm)
-    return spots_of_rays(lens, rays, weight)
+    return spots_of_rays(lens, field_tan, rays, weight)
 
 
 def axial_light(lens: Lens) -> tuple[float, float]:
@@ -113,25 +114,43 @@ def with_middle(
     )
 
 
-def spots_of_rays(lens: Lens, rays: RayBundle, weight: Floats) -> Spots:
-    """Return the spots of rays [... ray] that carry weights [ray]; see `spots`."""
+def spots_of_rays(lens: Lens, field_tan: ArrayLike, rays: RayBundle, weight: Floats) -> Spots:
+    """Return the spots of traced rays [... ray] that carry weights [ray]; see `spots`."""
     passed = rays.passed
-    alive = np.where(passed, weight, 0.0)
-    transmission = alive.sum(axis=-1)
-    if not np.all(transmission > 0):
-        raise ValueError(_why_dark(lens, rays))
-    if transmission.min() < 0.5:
-        warn_quality(
-            f"a field loses {100 * (1 - transmission.min()):.0f} % of its light to vignetting",
-            stacklevel=3,
-        )
-    share = alive / transmission[..., None]
+    share, transmission = _arriving(lens, rays, weight)
+    if transmission.min() < _LITTLE:
+        _warn_of_loss(lens, field_tan, rays, transmission)
     position = np.where(passed[..., None], rays.position_mm, 0.0)
     centroid = np.einsum("...r,...rc->...c", share, position)
     relative = np.where(passed[..., None], position - centroid[..., None, :], 0.0)
     radius = np.sqrt(np.einsum("...r,...rc,...rc->...", share, relative, relative))
     direction = np.where(passed[..., None], rays.direction, 0.0)
     return Spots(centroid, radius, transmission, relative, direction, share)
+
+
+def _arriving(lens: Lens, rays: RayBundle, weight: Floats) -> tuple[Floats, Floats]:
+    """Return weights [... ray] of the rays that arrive, of sum 1, and how much of all they are."""
+    alive = np.where(rays.passed, weight, 0.0)
+    transmission = alive.sum(axis=-1)
+    if not np.all(transmission > 0):
+        raise ValueError(_why_dark(lens, rays))
+    return alive / transmission[..., None], transmission
+
+
+def _warn_of_loss(lens: Lens, field_tan: ArrayLike, rays: RayBundle, transmission: Floats) -> None:
+    """Tell which field loses most of its light, how much, and where."""
+    worst = np.unravel_index(int(transmission.argmin()), transmission.shape)
+    row_deg, col_deg = np.degrees(
+        np.arctan(np.broadcast_to(np.asarray(field_tan), (*transmission.shape, 2))[worst])
+    )
+    failed_at = rays.failed_at[worst]
+    surface = int(np.bincount(failed_at[failed_at >= 0]).argmax())
+    lost = 1.0 - float(transmission[worst])
+    problem = (
+        f"the field at {row_deg:.3g} / {col_deg:.3g} degrees (row / column) loses "
+        f"{100 * lost:.0f} % of its light, most of it at {_called(lens, surface)}"
+    )
+    warn_quality(WorstWarning(problem, lost), stacklevel=4)
 
 
 def fields_for_image(
@@ -170,7 +189,7 @@ def fields_for_image(
     for number in range(_FIELD_STEPS):
         rays = trace(lens, field, points, build=build)
         if number < _SETTLING_STEPS:
-            share = spots_of_rays(lens, rays, weight).weight
+            share, _ = _arriving(lens, rays, weight)
         landing_mm = np.where(share[..., None] > 0, rays.position_mm, 0.0)
         error = wanted - np.einsum("...r,...rc->...c", share, landing_mm)
         if np.abs(error).max() < tolerance_mm:
@@ -286,7 +305,7 @@ def wavefront(
     rays = trace(lens, field_tan, points, build=build, wavelength_nm=wavelength_nm)
     if rays.path_mm.ndim != 1:
         raise ValueError(f"expected one field and one build, got {rays.path_mm.shape[:-1]}")
-    spot = spots_of_rays(lens, rays, weight)
+    spot = spots_of_rays(lens, field_tan, rays, weight)
     path = rays.path_mm - np.einsum("rc,rc->r", spot.ray_mm, spot.direction[:, :2])
     path = np.where(rays.passed, path, 0.0)
     waves = (path - spot.weight @ path) / ((wavelength_nm or lens.wavelength_nm) * 1e-6)
@@ -301,12 +320,17 @@ def _why_dark(lens: Lens, rays: RayBundle) -> str:
     surface = int(np.bincount(failed_at).argmax())
     kind = int(np.bincount(status[failed_at == surface]).argmax())
     how = ("", "miss it", "are totally reflected", "lie outside its semi-diameter")[kind]
+    return (
+        f"expected light on the sensor, but no ray of {int(dark.sum())} of {dark.size} fields "
+        f"arrives: at {_called(lens, surface)} most {how}"
+    )
+
+
+def _called(lens: Lens, surface: int) -> str:
+    """Return the number of a surface, counted from 0 in the lens, and where it is."""
     number, name = [
         (n, one.name or f"element {of}")
         for of, one in enumerate(lens.elements, start=1)
         for n, _ in enumerate(one.surfaces, start=1)
     ][surface]
-    return (
-        f"expected light on the sensor, but no ray of {int(dark.sum())} of {dark.size} fields "
-        f"arrives: at surface {surface + 1} (surface {number} of {name}) most {how}"
-    )
+    return f"surface {surface + 1} (surface {number} of {name})"
