@@ -198,9 +198,19 @@ def fields_for_image(
             inverse = _updated(inverse, step, before - error)
         step = np.einsum("...ij,...j->...i", inverse, error)
         field, before = field + step, error
-    raise ValueError(
-        f"expected points that the lens can image, but after {_FIELD_STEPS} steps one is "
-        f"{np.abs(error).max():.2g} mm away"
+    raise ValueError(_why_unsettled(wanted, error))
+
+
+def _why_unsettled(wanted_mm: Floats, error_mm: Floats) -> str:
+    """Say which point of the sensor no field could be found for, and what may be the matter."""
+    off_mm = np.abs(error_mm).max(axis=-1)
+    worst = np.unravel_index(int(off_mm.argmax()), off_mm.shape)
+    row_mm, col_mm = np.broadcast_to(wanted_mm, (*off_mm.shape, 2))[worst]
+    return (
+        f"expected light at every point of the sensor, but for the one {row_mm:.4g} / {col_mm:.4g} "
+        f"mm (row / column) from its middle the best of {_FIELD_STEPS} fields comes to "
+        f"{off_mm[worst]:.2g} mm: edges of lenses that cut its light off, or an image that turns "
+        "back there, end the picture; a smaller sensor, or larger semi-diameters, would not"
     )
 
 

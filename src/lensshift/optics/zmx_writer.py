@@ -99,6 +99,9 @@ def _element(element: Element, gap_mm: float, ahead: float) -> list[list[str]]:
             blocks.append(_break(lean, distance_mm, back=True))
         else:
             blocks.append(_surface(shape, "MIRROR" if surface.mirror else glass, distance_mm))
+    if element.name.strip():  # as the comment of its first surface
+        first = next(block for block in blocks if "TYPE COORDBRK" not in block)
+        first.insert(1, f"COMM {' '.join(element.name.split())}")
     return [*blocks, _break(place, length_mm + ahead * gap_mm, back=True)] if away else blocks
 
 
