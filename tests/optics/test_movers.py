@@ -193,3 +193,23 @@ def test_a_wedge_is_drawn_thicker_on_its_side() -> None:
     front, back = layout(lens, field_tan=[0.0]).surfaces[0]
     upper, lower = (back.z_mm[n] - front.z_mm[n] for n in (-1, 0))
     assert upper - lower == pytest.approx(16.0 * math.sin(0.1), rel=1e-6)
+
+
+@pytest.mark.parametrize("scale", [0.004, 10.0])
+def test_movers_of_a_scaled_lens_are_scaled(scale: float) -> None:
+    """A lens of 0.4 mm shifts as one of 100 mm; wedges find no room before a near object."""
+
+    def lens(s: float) -> Lens:
+        front, back = Surface(52.0 * s, semi_diameter_mm=6 * s), Surface(-310.0 * s)
+        element = Element((front, back), ("N-BK7",), (3.0 * s,))
+        return Lens((element,), (70.0 * s,), Stop(9.0 * s, -2.0 * s), object_mm=450.0 * s)
+
+    grid, small = (Grid((8, 12), (0.2 * s, 0.2 * s)) for s in (1.0, scale))
+    whole = {one.kind: one for one in which_mover(lens(1.0), grid)}
+    found = {one.kind: one for one in which_mover(lens(scale), small)}
+    assert ("wedges" in found) == (scale > 1)
+    for kind in ("decentre", "tilt"):
+        assert found[kind].stroke_mm == pytest.approx(scale * whole[kind].stroke_mm, rel=1e-5)
+        assert found[kind].stroke_deg == pytest.approx(whole[kind].stroke_deg, rel=1e-5)
+        wanted = whole[kind].max_shift_error_px
+        assert found[kind].max_shift_error_px == pytest.approx(wanted, abs=1e-4)

@@ -19,14 +19,14 @@ from lensshift.core.lens_field import MOTIONS, LensField, Motion
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import fast_otf
 from lensshift.optics.paraxial import paraxial
-from lensshift.optics.shift import NEAR, PROBE_MM, central_slope, moving
+from lensshift.optics.shift import NEAR, central_slope, moving, probe_mm
 from lensshift.optics.spots import CENTROID_RINGS, fields_for_image, marks_of, spots
 from lensshift.optics.trace import Build
 
 Waves = NDArray[np.complex128]
 Sample = Callable[[Floats, Floats], NDArray[Any]]
 
-_PROBE = {"decentre": PROBE_MM, "tilt": 2e-3, "sensor": PROBE_MM}  # or rad, where it is linear
+_PROBE_RAD = 2e-3  # where it is linear
 _MARGIN = 1.02  # of the states, for what is not linear
 # Degrees over the sensor and over the states, tried in this order until the fit is good enough.
 _DEGREES = ((6, 4), (8, 5), (11, 6))
@@ -273,7 +273,7 @@ def _mover(
         raise ValueError(f"expected decentre or tilt of an element, got {kind!r} of {element}")
     if element is not None:
         lens.check_element(element)
-    probe = _PROBE[kind]
+    probe = _PROBE_RAD if kind == "tilt" else probe_mm(lens)
     trial = _Mover(lens, grid, element, kind, (probe, probe))
     px_per_unit = central_slope(lambda ends: trial.shifts(np.zeros((1, 2)), ends)[0], 1.0) / probe
     if np.linalg.cond(px_per_unit) > 1e6 or np.abs(px_per_unit).max() * probe < _LEAST_GAIN_PX:

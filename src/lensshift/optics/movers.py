@@ -52,7 +52,7 @@ def which_mover(
       N-BK7, or of the first glass of the lens where N-BK7 is dark, in the middle of the last gap
       with the sensor moved back by t (n - 1) / n, where there is room;
     - "wedges": two equal wedges in front of the lens that turn about the axis (Risley), so strong
-      that each turns by 30 degrees for the diagonal shift;
+      that each turns by 30 degrees for the diagonal shift, where the object leaves room;
     - "sensor": the same shift everywhere and no loss, by a stroke of -shift_px times the pitch.
 
     Error and cross-talk of the added rows are the largest at the centre, the ends of the axes and
@@ -79,7 +79,7 @@ def which_mover(
     glazed = lens if plates else _with_plate(lens)
     if glazed is not None:
         turning.append(_tilted(glazed, plates[-1] if plates else len(lens.elements), "plate"))
-    if _clear_glass(lens):
+    if _clear_glass(lens) and _before_lens_mm(lens) < lens.object_mm:
         turning.append(_wedges(lens, grid, shift_px))
     found = (_row(one, grid, shift_px, frequency) for one in turning)
     rows += [row for row in found if row is not None]
@@ -126,8 +126,8 @@ def with_wedges(
     wedge_rad : between the sides of each
     turn_rad : where each is thickest, from the columns to the rows; opposite ones do nothing
     """
-    ahead_mm = max(0.0, -lens.stop.position_mm) + _WEDGE_ROOM_MM
-    longer_mm = 2.0 * _WEDGE_MM + _WEDGE_ROOM_MM + ahead_mm
+    longer_mm = _before_lens_mm(lens)
+    ahead_mm = longer_mm - 2.0 * _WEDGE_MM - _WEDGE_ROOM_MM
     carrier = lens.stop.rides_on
     return replace(
         lens,
@@ -140,6 +140,11 @@ def with_wedges(
         ),
         object_mm=lens.object_mm - longer_mm,
     )
+
+
+def _before_lens_mm(lens: Lens) -> float:
+    """Return how much room two wedges take in front of a lens and its stop."""
+    return 2.0 * (_WEDGE_MM + _WEDGE_ROOM_MM) + max(0.0, -lens.stop.position_mm)
 
 
 class _Turning(NamedTuple):

@@ -23,7 +23,9 @@ NEAR = 1e-5  # of a pixel; the offset changes by less than 1e-7 px over it
 _INVERSE_STEPS = 12  # each divides the error by what is not linear in a shift, 100 and more
 _INVERSE_PX = 1e-9  # far below any error of a shift
 _LEAST_GAIN = 1e-6  # mm per mm: a window has none but rounding
-PROBE_MM = 0.05  # decentre over which a stage map is linear to parts in a million
+_PROBE = (
+    1.0 / 400.0
+)  # of the stop: a decentre over which a stage map is linear to parts in a million
 
 
 def shift_map(
@@ -196,12 +198,17 @@ def px_per_um(lens: Lens, element: int, grid: Grid) -> float:
     return 1e-3 * float(np.linalg.norm(slope, axis=-2).max())
 
 
+def probe_mm(lens: Lens) -> float:
+    """Return a decentre that is small for a lens."""
+    return _PROBE * lens.stop.diameter_mm
+
+
 def px_per_mm_over(lens: Lens, element: int, grid: Grid) -> Floats:
-    """Return [row col 2 2] image over stage at every pixel, by central differences over 0.05 mm.
+    """Return [row col 2 2] image over stage at every pixel, by central differences.
 
     Raises
     ------
     ValueError
         As in `shift_map`.
     """
-    return central_slope(lambda mm: shift_map(lens, element, mm, grid).offset_px, PROBE_MM)
+    return central_slope(lambda mm: shift_map(lens, element, mm, grid).offset_px, probe_mm(lens))
