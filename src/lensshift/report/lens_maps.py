@@ -35,7 +35,7 @@ _DEPARTURE_PX = 0.03  # the same for the distortion grid
 _AIRY = 1.22  # radius of the first dark ring over wavelength x f-number
 _SPOT_RINGS = 10  # some 300 rays, which still are seen one by one
 _MOST, _ROOM = 0.98, 1.15  # quantile of the rays that an enlarged spot shows, and room around
-_FOCUS_MM, _FOCUS_STEPS = 0.4, 80  # how far the sensor moves either way
+_FOCUS, _FOCUS_STEPS = 1.2, 80  # f-numbers over the frequency that the sensor moves either way
 _LEAST_CHANGE = 1e-6  # of the MTF: less is rounding
 
 
@@ -86,7 +86,8 @@ def focus_figure(lens: Lens, fields_tan: Sequence[Pair], frequency_lpmm: float) 
     fields_tan : tangents (row, col) of the fields
     frequency_lpmm : of the MTF
     """
-    away_mm = np.linspace(-_FOCUS_MM, _FOCUS_MM, _FOCUS_STEPS + 1)
+    most_mm = _FOCUS * paraxial(lens).working_f_number / frequency_lpmm
+    away_mm = np.linspace(-most_mm, most_mm, _FOCUS_STEPS + 1)
     found = through_focus(lens, fields_tan, frequency_lpmm, away_mm, AZIMUTHS_RAD)
     figure = style.new_figure(style.WIDTH_IN, 4.2)
     axes = figure.subplots()
