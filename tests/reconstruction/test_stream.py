@@ -18,7 +18,7 @@ from lensshift.forward.model import forward_model
 from lensshift.forward.prediction import FramePredictor
 from lensshift.reconstruction import stream
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
-from lensshift.reconstruction.following import View
+from lensshift.reconstruction.following import Followed, View
 from lensshift.reconstruction.learned.phasors import LOW_PASS_PX
 from lensshift.reconstruction.places import Known
 
@@ -397,7 +397,7 @@ def test_noise_of_the_frame_before_is_not_taken_off():
 def test_a_change_of_level_is_that_change_less_what_noise_may_be(size):
     """The variance of a Gaussian mean of width g is that of a pixel over 4 pi g^2."""
     new, _ = views(np.full((9, 14), size), np.zeros((9, 14)))
-    share = max(0.0, 1 - 0.1**2 / (4 * np.pi * LOW_PASS_PX**2) / size**2 / min(1, 0.3 / abs(size)))
+    share = max(0.0, 1 - 0.1**2 / (4 * np.pi * LOW_PASS_PX**2) / size**2)
     np.testing.assert_allclose(new.change, size * share)
     np.testing.assert_allclose(new.without(new.change).rest, size * (1 - share), atol=1e-12)
 
@@ -407,6 +407,63 @@ def test_noise_is_no_change():
     new, _ = views(rest, rest)
     mean = 0.1 / np.sqrt(4 * np.pi * LOW_PASS_PX**2)
     assert np.std(new.change) < 0.4 * mean
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.1j, 3.0])
+@pytest.mark.parametrize("seed", [6, 7])
+def test_what_follows_is_as_unsure_as_it_errs(factor, seed):
+    """Frames of a level, or of one phasor, whose brightness a first frame tells and a second."""
+    rng, sigma, v, level = np.random.default_rng(seed), 0.03, 0.0, 1.0 + 0j * factor
+    shape = (60, 80)
+    model = forward_model(shape, 1, np.zeros((1, 2)), blur=GaussianBlur(0.0))
+    picture = np.full(shape, level)
+    for _ in range(3):
+        noise = rng.standard_normal((2, *shape))
+        noise = noise[0] + 1j * noise[1]
+        rest = factor + sigma * noise - picture
+        view = View(model, picture, rest, np.ones(shape, bool), sigma)
+        v, picture = view.unsure(v), picture * (1 + view.change)
+        if factor != 1:
+            errors = np.abs(picture / factor - 1) ** 2 / 2
+            assert np.mean(v) == pytest.approx(np.mean(errors), rel=0.3)
+    mean = (sigma / abs(factor)) ** 2 / (4 * np.pi * LOW_PASS_PX**2)
+    assert np.mean(v) < (0.5 if factor == 1 else 1.1) * mean
+
+
+def test_a_level_that_follows_is_as_unsure_as_it_errs():
+    rng = np.random.default_rng(8)
+    new, _ = views(0.3 + 0.1 * rng.standard_normal((60, 80)), np.zeros((60, 80)))
+    errors = (new.change - 0.3) ** 2
+    assert np.mean(new.unsure(0.0)) == pytest.approx(np.mean(errors), rel=0.3)
+    none, _ = views(np.zeros((60, 80)), np.zeros((60, 80)))
+    np.testing.assert_allclose(none.unsure(0.7), 0.7)  # nothing was taken: all is as it was
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("factor", [0.2, 0.05])
+def test_std_holds_what_follows_light_that_sinks(factor, seed):
+    """It was that of the bright picture: two held 0.2 to 0.7 of the distances."""
+    mosaic, rng = phasor_mosaic(seed, SHAPE), np.random.default_rng(seed)
+    one, clean = camera(pace="live", modulation_hz=15e6), clean_frames(mosaic.truth)
+    before = run(one, clean, 8, sigma=mosaic.sigma, rng=rng)[-1]
+    after = run(one, factor * clean, 4, sigma=mosaic.sigma, rng=rng)[-1]
+    assert after.settings["pace"] == "live"
+    turned = np.exp(1j * PER_M * after.distance_m.image) / mosaic.truth
+    off_m = np.abs(np.angle(turned)) / PER_M
+    assert np.mean(off_m < 2 * after.distance_m.std) > 0.85
+    assert np.mean(after.distance_m.std) > 1.05 * np.mean(before.distance_m.std)
+    off = np.abs(after.amplitude.image - factor * np.abs(mosaic.truth))
+    assert np.mean(off < 2 * after.amplitude.std) > 0.75
+    assert np.mean(after.amplitude.std) < 3 * np.sqrt(np.mean(off**2))
+
+
+def test_std_of_a_scene_that_rests_stays():
+    for kind in (scene(27).truth, phasor_mosaic(7, SHAPE).truth):
+        one = camera(pace="live", modulation_hz=15e6)
+        found = run(one, clean_frames(kind), 20, sigma=0.02, rng=np.random.default_rng(3))
+        for name, last in found[-1].channels.items():
+            grown = np.sqrt(np.mean(last.std**2) / np.mean(found[3].channels[name].std ** 2))
+            assert 0.99 < grown < 1.05
 
 
 def test_gains_of_the_frames_and_a_least_of_zero_hold_for_what_follows():
@@ -568,7 +625,7 @@ def known(expected, noise):
     light = Estimate(expected, noise_sigma=noise, predict=predict)
     found = Reconstruction(light, None, Grid(expected.shape, (1.0, 1.0)), 1, "auto")
     frame = Frame(expected, None, np.ones(expected.shape, bool), 0.0)
-    return Known(found, {2: frame}, found)
+    return Known(Followed(found, found), {2: frame})
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (14, 2), (3, 9)])

@@ -8,8 +8,9 @@ at once. Frames that show other detail are for a solver: `Stream` asks it when t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from lensshift.forward.model import ForwardModel
 from lensshift.forward.operator import single
 from lensshift.forward.prediction import FramePredictor, PhasorPredictor
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX, WINDOW_PX
-from lensshift.reconstruction.learned.phasors import LOW_PASS_PX
+from lensshift.reconstruction.learned.phasors import LOW_PASS_PX, NO_PHASE_RAD
 
 # What is off by more standard deviations counts as if it were off by so many (Huber).
 MOST_SIGMAS = 3.0
@@ -88,26 +89,56 @@ class View:
         return replace(self, rest=np.where(valid, self.rest - share * before.rest, 0), valid=valid)
 
     @cached_property
+    def _told(self) -> tuple[Array, Floats, Floats]:
+        """c, |c|^2 around it less t^2, and t^2, as in `change`; of a component, [row col]."""
+        left, tiny = self, np.finfo(np.float64).tiny
+        for _ in range(2):  # light that sinks is far off all over, until it is taken off
+            size = np.sqrt(left.squares / self.variance)
+            weight = np.minimum(1.0, MOST_SIGMAS / np.maximum(size, 1e-12)) / self.variance
+            weight *= self.valid
+            known = gaussian_around(weight * np.abs(self.basis) ** 2, LOW_PASS_PX)
+            of_basis = gaussian_around(weight * np.conj(self.basis) * self.rest, LOW_PASS_PX)
+            least = max(LEAST_WEIGHT * float(known.max()), tiny)
+            c = np.where(known > least, of_basis / np.maximum(known, least), 0)
+            left = self.without(c)
+        noise = 1 / (4 * math.pi * LOW_PASS_PX**2 * np.maximum(known, least))
+        return c, mean_around(np.abs(c) ** 2, AROUND_PX) / self.components - noise, noise
+
+    @property
+    def _share(self) -> Floats:
+        """[row col] as much of c as is more than noise (James and Stein)."""
+        _, more, noise = self._told
+        return np.asarray(np.maximum(more, 0) / (np.maximum(more, 0) + noise))
+
+    @cached_property
     def change(self) -> Array:
         """[row col] by how much of the basis the frame is more, over the pixels around.
 
-            c = G (w b* r) / G (w |b|^2),   w = min(1, 3 s / |r|) / s^2
-            c <- c max(0, 1 - t^2 / mean |c|^2),   1 / t^2 = 4 pi g^2 G (w |b|^2)
+            c = G (w b* r) / G (w |b|^2),   w = min(1, 3 s / |r - c b|) / s^2,   twice from c = 0
+            c <- c q,   q = max(0, 1 - t^2 / mean |c|^2),   1 / t^2 = 4 pi g^2 G (w |b|^2)
 
         G a Gaussian low pass of width g, r what is left, s^2 its variance; t^2 that of c, of which
-        as much is taken as is more than noise over 9 x 9 pixels (James and Stein).
+        as much is taken as is more than noise over 9 x 9 pixels.
         """
-        size = np.sqrt(self.squares / self.variance)
-        weight = self.valid * np.minimum(1.0, MOST_SIGMAS / np.maximum(size, 1e-12)) / self.variance
-        known = gaussian_around(weight * np.abs(self.basis) ** 2, LOW_PASS_PX)
-        of_basis = gaussian_around(weight * np.conj(self.basis) * self.rest, LOW_PASS_PX)
-        least = max(LEAST_WEIGHT * float(known.max()), np.finfo(np.float64).tiny)
-        c = np.where(known > least, of_basis / np.maximum(known, least), 0)
-        size = mean_around(np.abs(c) ** 2, AROUND_PX) / self.components
-        noise = 1 / (4 * math.pi * LOW_PASS_PX**2 * np.maximum(known, least))
-        return np.asarray(
-            c * np.clip(1 - noise / np.maximum(size, np.finfo(np.float64).tiny), 0, 1)
-        )
+        return np.asarray(self._told[0] * self._share)
+
+    def unsure(self, before: Floats | float) -> Floats:
+        """Return the variance [row col] of a component of what a picture now is of the basis.
+
+            v <- (q^2 t^2 + (1 - q)^2 max(mean |c|^2 - t^2, v)) / |1 + c|^2
+
+        The noise of what was taken, and what was left; a frame that is taken whole forgets those
+        before. Of phasors v is that of a factor of the picture, which has changed by 1 + c.
+
+        Parameters
+        ----------
+        before : [row col] that before this frame
+        """
+        _, more, noise = self._told
+        left = self._share**2 * noise + (1 - self._share) ** 2 * np.maximum(more, before)
+        tiny = np.finfo(np.float64).tiny
+        factor = np.abs(1 + self.change) ** 2 if self.components == 2 else 1.0
+        return np.asarray(left / np.maximum(factor, tiny))
 
     def without(self, change: Array) -> View:
         """Return what is left beside a picture that has changed so."""
@@ -135,33 +166,72 @@ def views_of(found: Reconstruction, frame: Frame, number: int) -> dict[str, View
     }
 
 
-def following(found: Reconstruction, views: dict[str, View]) -> Reconstruction:
-    """Return the picture as bright, and as far away, as a frame of a scene that rests shows it.
-
-        x <- x + b A^T c / A^T 1,   c as `View.change`
-
-    Of light or distances alone b is 1: what is added to all that is seen comes back. Of phasors
-    b = x: all around shares one factor, so that a dark surface keeps its distance beside a bright
-    one.
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """A picture that was computed, and what became of it.
 
     Parameters
     ----------
-    views : what changed in that frame
+    solved : as it was computed
+    found : as it followed the frames since
+    unsure : variance [row col] of what it followed, by the names of its views; see `View.unsure`
     """
-    if (phasors := _as_phasors(found)) is not None:
-        light, far = _with_gain(*phasors, views["phasor"])
-        return replace(found, amplitude=light, distance_m=far)
-    least = 0.0 if found.settings.get("non_negative") else -np.inf
-    raised = {
-        name: _raised(one, _change(views[name]), least)
-        for name, one in found.channels.items()
-        if name in views
-    }
-    return replace(
-        found,
-        amplitude=raised.get("amplitude", found.amplitude),
-        distance_m=raised.get("distance", found.distance_m),
-    )
+
+    solved: Reconstruction
+    found: Reconstruction
+    unsure: Mapping[str, Floats] = field(default_factory=dict)
+
+    def by(self, views: dict[str, View]) -> Followed:
+        """Return it as bright, and as far away, as a frame of a scene that rests shows it.
+
+            x <- x + b A^T c / A^T 1,   c as `View.change`
+
+        Of light or distances alone b is 1: what is added to all that is seen comes back. Of phasors
+        b = x: all around shares one factor, so that a dark surface keeps its distance beside a
+        bright one.
+
+        Parameters
+        ----------
+        views : what changed in that frame
+        """
+        unsure = {name: one.unsure(self.unsure.get(name, 0.0)) for name, one in views.items()}
+        unsure = dict(self.unsure) | unsure
+        channels: dict[str, Estimate] = dict(self.found.channels)
+        if (phasors := _as_phasors(self.found)) is not None:
+            channels["amplitude"], channels["distance"] = _with_gain(*phasors, views["phasor"])
+        else:
+            least = 0.0 if self.found.settings.get("non_negative") else -np.inf
+            for name, view in views.items():
+                channels[name] = _raised(channels[name], _change(view), least)
+        for name, one in channels.items():
+            of = unsure.get("phasor" if phasors else name)
+            before = self.solved.channels[name]
+            if of is not None and before.uncertainty is not None:
+                bare = replace(one, uncertainty=None)  # else each holds all those before
+                channels[name] = replace(one, uncertainty=partial(_std_of, before, bare, of))
+        found = replace(
+            self.found, amplitude=channels.get("amplitude"), distance_m=channels.get("distance")
+        )
+        return replace(self, found=found, unsure=unsure)
+
+
+def _std_of(solved: Estimate, one: Estimate, unsure: Floats) -> Floats:
+    """Return the std of a picture that followed: that of its detail, and of what it followed.
+
+    Detail of light that a factor changed is as many times as sure.
+    """
+    times = one.image.shape[0] // unsure.shape[0]
+    followed = np.sqrt(unsure).repeat(times, axis=0).repeat(times, axis=1)
+    std = np.asarray(solved.std)
+    scale = one.predict.distance if isinstance(one.predict, PhasorPredictor) else None
+    if scale is not None:
+        most_m = NO_PHASE_RAD / scale.rad_per_m
+        return np.asarray(np.minimum(np.hypot(std, followed / scale.rad_per_m), most_m))
+    if isinstance(one.predict, PhasorPredictor) or np.iscomplexobj(one.image):
+        light, before = np.abs(one.image), np.abs(solved.image)
+        std = std * np.divide(light, before, out=np.ones_like(light), where=before > 0)
+        followed = followed * light
+    return np.asarray(np.hypot(std, followed))
 
 
 def _view(one: Estimate, values: Array, frame: Frame, number: int) -> View:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lensshift.core.local_means import mean_around
-from lensshift.core.types import Frame, Reconstruction, Status
-from lensshift.reconstruction.following import MOST_SIGMAS, View, views_of
+from lensshift.core.types import Frame, Status
+from lensshift.reconstruction.following import MOST_SIGMAS, Followed, View, views_of
 
 # A frame is of another scene where most pixels are farther from the picture than noise and shifts
 # explain (`misfit.LIMIT` is that of a solved burst).
@@ -30,21 +30,19 @@ class Known:
 
     Parameters
     ----------
-    solved : as it was computed
-    frames : of which, by their places
-    latest : as it followed the frames since
+    followed : as it was computed, and as it followed the frames since
+    frames : of which it was computed, by their places
     left : of places, what the picture leaves of their frames
     """
 
-    solved: Reconstruction
+    followed: Followed
     frames: dict[int, Frame]
-    latest: Reconstruction
     left: dict[int, dict[str, View]] = field(default_factory=dict)
 
     @property
     def fits(self) -> bool:
         """Whether its frames do not contradict it."""
-        channels = self.solved.channels.values()
+        channels = self.followed.solved.channels.values()
         return all(one.status is not Status.CONTRADICTED for one in channels)
 
     def against(
@@ -56,7 +54,7 @@ class Known:
         Of a place that is not the frame's own (`elsewhere`) the picture has to explain all: a frame
         that did not fit there, after a knock, would speak for the next ones.
         """
-        views, left = views_of(self.latest, frame, self._number(at)), self._left(at)
+        views, left = views_of(self.followed.found, frame, self._number(at)), self._left(at)
         changed = {name: one.since(left[name]) for name, one in views.items() if name in left}
         if not changed:  # as of a frame without distances
             return {}, MOST
@@ -77,7 +75,7 @@ class Known:
         A frame of the other place has t = 1 and leaves nothing, light that changes t = 0, and a
         camera that was knocked more than there was.
         """
-        views = views_of(self.solved, frame, self._number(at))
+        views = views_of(self.followed.solved, frame, self._number(at))
         name = next(iter(views), None)
         if name is None or name not in self._left(at):
             return at
@@ -109,7 +107,7 @@ class Known:
 
     def _left(self, at: int) -> dict[str, View]:
         if at not in self.left:
-            self.left[at] = views_of(self.solved, self.frames[at], self._number(at))
+            self.left[at] = views_of(self.followed.solved, self.frames[at], self._number(at))
         return self.left[at]
 
 

@@ -13,7 +13,7 @@ from lensshift.core.burst_checks import all_valid
 from lensshift.core.defects import blank_frames
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Frame, Reconstruction
-from lensshift.reconstruction.following import following
+from lensshift.reconstruction.following import Followed
 from lensshift.reconstruction.method import Method
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import one_of
@@ -135,7 +135,7 @@ class Stream:
         live = self._rests and settled and self._pace != "refined" and not refined
         live = live and not (self._pace == "auto" and round_ends)
         if live and self._known is not None:
-            found = self._known.latest
+            found = self._known.followed.found
             self._since_refined += 1
         else:
             rests = self._rests and settled and self._pace == "auto" and not refined
@@ -143,7 +143,7 @@ class Stream:
             self._since_asked = 0 if before is None else self._since_asked + 1
             found = reconstruct(self.window, self._scale, streamed=before or True, **self._settings)
             wrong = any("contradiction" in one.notes for one in found.channels.values())
-            self._known = Known(found, dict(self._frames), found)
+            self._known = Known(Followed(found, found), dict(self._frames))
             self._contradicted = self._contradicted + 1 if wrong else 0
             self._since_refined, live = 0, False
         event, self._event, self._rests = self._event, None, True
@@ -169,7 +169,7 @@ class Stream:
         if known is None or self._since_asked + 1 >= BELIEVED_PICTURES:
             return None
         whole = len(known.frames) == self._template.frame_count
-        return known.solved if known.fits and whole else None
+        return known.followed.solved if known.fits and whole else None
 
     def _placed(self, frame: Frame, place: int | None, shows: bool) -> tuple[int, str | None, bool]:
         """Return where a frame was taken, what happened, and whether the scene rests."""
@@ -194,7 +194,7 @@ class Stream:
         best = known.nearest(frame, at) if asked and known.fits else at
         if best == at and share <= RESTS:
             if self._pace != "refined":
-                self._known = replace(known, latest=following(known.latest, changed))
+                self._known = replace(known, followed=known.followed.by(changed))
             return at, None, True
         if asked and share > RESTS and (best != at or not known.fits):
             others = {k: known.against(frame, k, elsewhere=True)[1] for k in known.frames}
