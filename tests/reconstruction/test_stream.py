@@ -20,6 +20,7 @@ from lensshift.reconstruction import stream
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
 from lensshift.reconstruction.following import Followed, View
 from lensshift.reconstruction.learned.phasors import LOW_PASS_PX
+from lensshift.reconstruction.photometry import light_since
 from lensshift.reconstruction.places import Known
 
 SHAPE, SCALE = (21, 26), 2
@@ -482,6 +483,69 @@ def test_gains_of_the_frames_and_a_least_of_zero_hold_for_what_follows():
     gain = before.amplitude.predict.gain[0]
     fell = (after.amplitude.image - before.amplitude.image)[bright]
     assert abs(np.median(fell) * gain + 0.1) < 0.01
+
+
+@pytest.mark.parametrize("factor", [3.0, 0.3])
+@pytest.mark.parametrize("waves", [True, False])
+@pytest.mark.parametrize("pace", ["auto", "refined"])
+def test_a_step_of_the_light_leaves_the_picture_right(factor, waves, pace):
+    """Frames of two brightnesses were mixed for a round: pictures were 50 to 230 % off."""
+    for seed in (3, 4):
+        truth = phasor_mosaic(seed, SHAPE).truth if waves else 0.2 + scene(seed).truth
+        one, clean = camera(pace=pace, modulation_hz=15e6), clean_frames(truth)
+        rng, sigma = np.random.default_rng(seed), 0.01 * np.abs(clean).mean()
+        usual = error(run(one, clean, 6, sigma=sigma, rng=rng)[-1], truth)
+        with pytest.warns(QualityWarning, match="the light changed") as told:
+            after = run(one, factor * clean, 8, sigma=sigma, rng=rng, first=6)
+        assert {str(text.message).partition(":")[0] for text in told} == {"the light changed"}
+        noise = sigma / min(factor, 1)
+        for found in after:
+            assert found.settings["event"] is None
+            assert error(found, factor * truth) < factor * (1.3 * usual + noise)
+
+
+def lit(values):
+    return Frame(values, None, np.ones(values.shape, bool), 0.0)
+
+
+@pytest.mark.parametrize("factor", [0.05, 0.6, 1.5, 20.0])
+@pytest.mark.parametrize("turn", [1.0, 1j])
+def test_how_bright_a_frame_is(factor, turn):
+    rng = np.random.default_rng(2)
+    before = rng.uniform(0.5, 3, SHAPE) * np.exp(1j * rng.uniform(0, 3)) ** turn.imag
+    after = factor * turn * before + 0.01 * rng.standard_normal(SHAPE)
+    assert light_since(lit(after), lit(before)) == pytest.approx(factor, rel=0.02)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_and_what_moved_are_no_other_light(seed):
+    rng = np.random.default_rng(seed)
+    before = rng.uniform(0.5, 3, SHAPE)
+    for part, times in ((0, 1), (0.3, 4), (0.5, 0.2), (0.7, 1.5)):
+        after = before + 0.05 * rng.standard_normal(SHAPE)
+        after[:, : int(part * SHAPE[1])] *= times
+        assert light_since(lit(after), lit(before)) == 1
+    assert light_since(lit(rng.uniform(0.5, 3, SHAPE)), lit(before)) == 1
+    assert light_since(lit(0 * before), lit(0 * before)) == 1
+    flash = before.copy()
+    flash[4, 5] += 1e6
+    assert light_since(lit(flash), lit(before)) == light_since(lit(before), lit(flash)) == 1
+    few = np.zeros(SHAPE, bool)
+    few[3, 4:8] = True
+    assert light_since(Frame(2 * before, None, few, 0.0), lit(before)) == 1
+
+
+def test_light_that_jumps_and_sinks_back_slowly_is_where_it_was():
+    """What is too little to be noticed from one frame to the next adds up to nothing."""
+    truth, rng = 0.2 + scene(26).truth, np.random.default_rng(1)
+    one, clean = camera(pace="live"), clean_frames(truth)
+    light = np.r_[np.ones(8), np.geomspace(1.3, 1, 60), np.ones(4)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        for k, times in enumerate(light):
+            found = one.step(times * clean[k % 4] + 0.02 * rng.standard_normal(SHAPE))
+        found = one.picture(refined=True)
+    assert error(found, truth) < 0.05
 
 
 def test_phasors_without_distance_follow_by_a_factor_as_well():

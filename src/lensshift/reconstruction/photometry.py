@@ -10,17 +10,20 @@ import numpy as np
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.defects import unequal_brightness
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Estimate
+from lensshift.core.types import Estimate, Frame
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import ESTIMATED
 from lensshift.reconstruction.noise import robust_scale
+from lensshift.reconstruction.quantiles import ENOUGH, weighted_median
 
 HUBER_SIGMAS = 1.345
 # Rounds end when no gain changes by more than this share, far below what it is off by in the end:
 # 0.3 % on boxes and photographs of SNR 100. Each halves what is left, whatever it began with.
 SETTLED, MOST_ROUNDS = 1e-3, 16
+# Of the light of a frame, if another light is to explain what changed.
+LIT = 0.9
 
 
 def estimate_photometry(A: LinearOperator, y: Array, weight: Array) -> tuple[Floats, Floats]:
@@ -58,6 +61,38 @@ def estimate_photometry(A: LinearOperator, y: Array, weight: Array) -> tuple[Flo
         if np.max(np.abs(gain / before - 1.0)) < SETTLED:
             break
     return gain, bias
+
+
+def light_since(frame: Frame, before: Frame) -> float:
+    """Return how many times as bright a frame is as another one of the same place; 1 if not surely.
+
+        g = median y / y',   1 unless nine tenths of the light are nearer to g times than to once
+
+    Weighted by |y'| and at most its median, y' the brighter one (else 1 / g); of phasors both
+    components have one. What is no more than noise, or in a part of the frame, as what moved, is no
+    other light, and less than half a frame says nothing.
+    """
+    some = slice(None, None, max(1, frame.valid.size // ENOUGH) | 1)
+    masks = (frame.valid.ravel()[some], before.valid.ravel()[some])
+    used = masks[0] & masks[1]
+    now, then = (one.amplitude.ravel()[some][used] for one in (frame, before))
+    darker = float(np.sum(np.abs(now))) < float(np.sum(np.abs(then)))
+    dark, bright = (now, then) if darker else (then, now)
+    seen = bright != 0
+    if not seen.any() or 2 * np.sum(used) < max(np.sum(mask) for mask in masks):
+        return 1.0
+    size, ratio = np.abs(bright[seen]), dark[seen] / bright[seen]
+    weight = np.minimum(size, np.median(size))
+    # Beyond 2 is noise of dark pixels, which the halvings of a median need not count to.
+    parts = (np.clip(part, -2, 2) for part in (ratio.real, ratio.imag))
+    mean = complex(*(weighted_median(part, weight) for part in parts))
+    gain = abs(mean)
+    if not 0 < gain < 1:
+        return 1.0
+    nearer = (ratio * mean.conjugate()).real / gain < (1 + gain) / 2
+    if np.sum(weight[nearer]) < LIT * np.sum(weight):
+        return 1.0
+    return gain if darker else 1 / gain
 
 
 def in_one_light(
