@@ -291,6 +291,7 @@ def test_distances_beyond_the_range_are_kept() -> None:
     np.testing.assert_allclose(far_m, near_m + 2 * RANGE_M, atol=0.02)
 
 
+@pytest.mark.filterwarnings("ignore:the frames are complex")
 def test_auto_chooses_phasors_only_where_they_can_be_had() -> None:
     burst = card_burst(0.01)
     waves = replace(burst, amplitude=burst.amplitude * np.exp(1j), distance_m=None)

@@ -133,7 +133,7 @@ def test_negative_values_can_be_forbidden(method: str) -> None:
 @pytest.mark.parametrize("method", LINEAR)
 def test_real_and_imaginary_parts_of_phasors_do_not_mix(method: str) -> None:
     real, imaginary = _noisy(seed=1), _noisy(edge_scene, seed=2) - 0.5
-    settings = _weight(method) | {"noise_sigma": 0.01}
+    settings = _weight(method) | {"noise_sigma": 0.01, "channel": "amplitude"}
     both = _image(make_burst(real + 1j * imaginary), method, **settings)
     parts = [_image(make_burst(part), method, **settings) for part in (real, imaginary)]
     assert both.dtype.kind == "c"
@@ -146,7 +146,7 @@ def test_real_and_imaginary_parts_of_phasors_do_not_mix(method: str) -> None:
 @pytest.mark.parametrize("method", [*LINEAR, "deconvolution"])
 def test_a_common_phase_of_phasors_comes_through(method: str) -> None:
     frames, turn = _noisy(seed=1) * np.exp(0.3j), np.exp(0.7j)
-    settings = _weight(method) | {"noise_sigma": 0.01}
+    settings = _weight(method) | {"noise_sigma": 0.01, "channel": "amplitude"}
     image = _image(make_burst(frames), method, **settings)
     turned = _image(make_burst(turn * frames), method, **settings)
     np.testing.assert_allclose(turned, turn * image, atol=1e-6)
@@ -154,7 +154,7 @@ def test_a_common_phase_of_phasors_comes_through(method: str) -> None:
 
 @pytest.mark.parametrize("method", ["auto", "tv"])
 def test_sparse_methods_take_phasors(method: str) -> None:
-    image = _image(make_burst(_noisy(seed=1) * np.exp(0.7j)), method)
+    image = _image(make_burst(_noisy(seed=1) * np.exp(0.7j)), method, channel="amplitude")
     assert image.dtype.kind == "c"
     np.testing.assert_allclose(
         np.abs(image - truth(smooth_scene, SHAPE, 2) * np.exp(0.7j)), 0, atol=0.1
@@ -164,7 +164,7 @@ def test_sparse_methods_take_phasors(method: str) -> None:
 @pytest.mark.parametrize("method", REAL_ONLY)
 def test_methods_for_real_frames_refuse_phasors(method: str) -> None:
     with pytest.raises(ValueError, match=r"real|complex"):
-        reconstruct(make_burst(_noisy() + 0j), method=method)
+        reconstruct(make_burst(_noisy() + 0j), method=method, channel="amplitude")
 
 
 # ---- units

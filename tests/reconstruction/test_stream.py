@@ -754,6 +754,23 @@ def test_amplitudes_are_no_phasors_of_phase_zero(waves):
     assert camera.frames == (0, 1, 2)
 
 
+@pytest.mark.parametrize(
+    ("told", "count"), [({}, 1), ({"channel": "amplitude"}, 0), ({"modulation_hz": 20e6}, 0)]
+)
+def test_phasors_whose_frequency_nobody_told_are_named_once(told, count):
+    """From Python they stayed complex, without distances, and without a word."""
+    z = np.random.default_rng(5).uniform(1, 2, (4, 9, 12)) * np.exp(1j)
+    hz = {"modulation_hz": told.get("modulation_hz")}
+    burst = lensshift.Burst.from_arrays(z, offset_px=SQUARE_PX, pitch_mm=1.0, **hz)
+    rest = {name: value for name, value in told.items() if name not in hz}
+    one = lensshift.stream(SQUARE_PX, shape=(9, 12), **told)
+    calls = (lambda: lensshift.reconstruct(burst, **rest), lambda: [one.step(y) for y in z])
+    for call in calls:
+        with warnings.catch_warnings(record=True, action="always") as said:
+            call()
+        assert sum("modulation_hz=20e6" in str(text.message) for text in said) == count
+
+
 def test_phasors_of_several_frequencies_are_refused():
     camera = lensshift.stream(SQUARE_PX, shape=(9, 12), modulation_hz=(100e6, 20e6))
     camera.take(np.ones((9, 12)))  # amplitudes of it are what they are

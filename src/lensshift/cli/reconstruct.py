@@ -149,13 +149,6 @@ def _looking(burst: Burst, asked: ReconstructOptions) -> Burst:
     intrinsics = asked.points.intrinsics(burst.grid, burst.intrinsics)
     waves = burst.amplitude.dtype.kind == "c"
     phasors = waves and burst.modulation_hz is not None
-    if waves and not phasors and asked.channel == "auto":
-        warnings.warn(
-            "the frames are complex and nobody told how fast their light was modulated: they stay "
-            "complex, without distances; --modulation-hz 20e6 would tell 20 MHz",
-            QualityWarning,
-            stacklevel=1,
-        )
     for path in asked.export or () if waves and not phasors else ():
         if path.suffix.lower() in (".tif", ".tiff", ".png") and not is_ome(path):
             raise ValueError(f"{path}: the frames are complex; take .npz, .ome.tif or .fits")

@@ -18,6 +18,7 @@ from lensshift.reconstruction.following import Followed
 from lensshift.reconstruction.method import Method
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import one_of
+from lensshift.reconstruction.phasor.choice import UNTOLD
 from lensshift.reconstruction.photometry import light_since
 from lensshift.reconstruction.places import BETTER_PLACE, MOST, RESTS, Claim, Known
 from lensshift.reconstruction.reconstruct import reconstruct
@@ -183,7 +184,10 @@ class Stream:
             )
 
     def _refuse_another_kind(self, frame: Frame) -> None:
-        """Refuse what does not go into one burst: of amplitudes alone phases would be 0."""
+        """Refuse what does not go into one burst: of amplitudes alone phases would be 0.
+
+        Of the first one it is said what it lacks.
+        """
         waves, hz = np.iscomplexobj(frame.amplitude), self._template.modulation_hz
         if waves and isinstance(hz, tuple):
             raise ValueError(
@@ -191,6 +195,8 @@ class Stream:
                 "stream of each, or `reconstruct` of a burst with the phasors of all"
             )
         latest = next(reversed(self._frames.values()), frame)
+        if waves and hz is None and latest is frame and "channel" not in self._settings:
+            self._warn(UNTOLD)
         if np.iscomplexobj(latest.amplitude) != waves:
             got, before = ("phasors", "amplitudes") if waves else ("amplitudes", "phasors")
             raise ValueError(f"expected {before}, as the frames before, got {got}")

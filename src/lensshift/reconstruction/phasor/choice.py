@@ -15,15 +15,21 @@ Otherwise amplitude and distance are reconstructed each on its own, as far as th
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 
+from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.reconstruction.method import Request
 
 Channel = Literal["auto", "amplitude", "distance", "phasor"]
+UNTOLD = (
+    "the frames are complex and nobody told how fast their light was modulated: they stay complex, "
+    "without distances; --modulation-hz 20e6 (modulation_hz=20e6) would tell 20 MHz"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +60,11 @@ def choose_channel(
     ------
     ValueError
         If there is no such channel.
+
+    Warns
+    -----
+    QualityWarning
+        If phasors stay complex because nobody told their frequency; a stream says that itself.
     """
     if channel not in get_args(Channel):
         raise ValueError(f"expected channel auto, amplitude, distance or phasor, got {channel!r}")
@@ -61,6 +72,8 @@ def choose_channel(
         return Choice(channel, "asked for")
     waves = burst.amplitude.dtype.kind == "c"
     phasors = burst.phasors is not None or waves
+    if waves and burst.modulation_hz is None and not request.streamed:
+        warnings.warn(UNTOLD, QualityWarning, stacklevel=3)
     obstacles = {
         "complex frames of unknown frequency stay complex": waves and burst.modulation_hz is None,
         "the burst has no distance": burst.distance_m is None and not phasors,
