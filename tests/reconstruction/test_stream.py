@@ -704,6 +704,20 @@ def test_narrow_frames_count_as_a_whole(shape):
     assert share_seen == 0
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_frame_of_few_pixels_makes_no_other_scene_of_the_next(seed):
+    """What it tells of the change since was held against all of the next frame of its place."""
+    rng, shape = np.random.default_rng(seed), (12, 16)
+    light = rng.uniform(0.1, 5, shape)
+    one = known(light, 0.02)
+    few = np.zeros(shape, bool)
+    few[rng.integers(2, 10), rng.integers(2, 14, 2)] = True
+    one.frames[2] = Frame(light + 0.02 * rng.standard_normal(shape), None, few, 0.0)
+    for noise in 0.02 * rng.standard_normal((5, *shape)):
+        next_one = Frame(1.5 * light + noise, None, np.ones(shape, bool), 1.0)
+        assert one.against(next_one, 2) == ({}, 0.5)  # computed anew, and no other scene
+
+
 @pytest.mark.parametrize(("shape", "inside"), [((3, 14), 3), ((9, 12), 6)])
 @pytest.mark.parametrize("slope", [0.0, 1.0])
 def test_one_pixel_contradicts_in_all_around_but_the_border(shape, inside, slope):
