@@ -277,6 +277,14 @@ def test_the_example_is_a_rig_file(call: Call, tmp_path: Path) -> None:
         ("[calibration]\nsigma_px = -1.0\n", "expected a sigma_px of at least 0"),
         ("[calibration]\nrest_mm = [nan, 3.0]\n", "rest_mm"),
         ("[acquisition]\nframes = 0\n", "acquisition: expected at least one frame"),
+        ("[acquisition]\nframes = 1000000000\n", "up to 100000 frames a position, got frames 10"),
+        ("[calibration]\npx_per_mm = 1e308\n", "px_per_mm: expected pixels of image for a mm"),
+        ("[calibration]\npx_per_mm = [[5.6, 0.0], [0.0, 5.6e6]]\n", "px_per_mm: expected pixels"),
+        ("[calibration]\nrest_mm = [3000.0, 3.0]\n", "rest_mm: expected places in mm, up to 1000"),
+        (
+            "[camera]\nport = 0\npitch_mm = 155.0\n",
+            r"pitch_mm: .* in mm, got 155; 155 um are 0.155",
+        ),
         (
             "[calibration]\nrest_mm = [1, 2, 3]\n",
             r"calibration\.rest_mm: expected \[float, float\]",

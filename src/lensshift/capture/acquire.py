@@ -25,6 +25,8 @@ from lensshift.core.types import Burst
 from lensshift.io import save_burst
 from lensshift.io.capture_file import FrameRecord, burst_of_capture
 
+MOST_FRAMES = 100_000  # an hour at 30 Hz, at each position
+
 
 @dataclass(frozen=True, slots=True)
 class Acquisition:
@@ -55,6 +57,9 @@ class Acquisition:
             raise ValueError(f"expected at least one frame a position, got {self.frames}")
         if self.discard < 0:
             raise ValueError(f"expected discard of at least 0, got {self.discard}")
+        if max(self.frames, self.discard) > MOST_FRAMES:
+            each = f"frames {self.frames} and discard {self.discard}"
+            raise ValueError(f"expected up to {MOST_FRAMES} frames a position, got {each}")
         for name in ("frame_timeout_s", "hold_mm"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"expected a positive {name}, got {getattr(self, name)}")

@@ -23,7 +23,7 @@ from lensshift.core.lens_field import LensField
 from lensshift.core.motion import ShiftPlan, StageMap
 from lensshift.core.settings import built, fit, only, parse_toml, read_text, settings_of, table_of
 from lensshift.core.types import Burst
-from lensshift.core.units import doubt_about_units
+from lensshift.core.units import doubt_about_pitch, doubt_about_units
 from lensshift.io.capture_file import FrameRecord
 
 # Lens travel of a quarter pixel of 0.155 mm, with the first lens of the reference design.
@@ -57,6 +57,9 @@ average = false
 discard = 2                     # frames that may have begun before the stage had settled
 """
 
+# Beyond anything that has been built: nanometres for mm, or a slip of the keys.
+_MOST_PX_PER_MM, _MOST_REST_MM = 1e4, 1e3
+_UNITS = {"px_per_mm": "pixels of image for a mm of lens", "rest_mm": "places in mm"}
 _Table = Mapping[str, Any]
 
 
@@ -67,6 +70,12 @@ class _Nominal:
     px_per_mm: float | tuple[tuple[float, float], tuple[float, float]] = 0.25 / QUARTER_PIXEL_MM
     rest_mm: tuple[float, float] = (3.0, 3.0)
     sigma_px: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, most in (("px_per_mm", _MOST_PX_PER_MM), ("rest_mm", _MOST_REST_MM)):
+            if not np.all(np.abs(getattr(self, name)) <= most):
+                told = f"up to {most:g}, got {getattr(self, name)}"
+                raise ValueError(f"{name}: expected {_UNITS[name]}, {told}")
 
 
 @dataclass(slots=True, eq=False)
@@ -284,6 +293,9 @@ def _camera(table: _Table, folder: Path) -> Camera:
     rest = {name: value for name, value in table.items() if name != "kind"}
     frequency_hz = fit(rest.get("modulation_hz"), float | None, "camera.modulation_hz")
     doubt = "" if frequency_hz is None else doubt_about_units(frequency_hz, None)
+    pitch_mm = rest.get("pitch_mm")
+    if kind != "python" and isinstance(pitch_mm, int | float):
+        doubt = doubt or doubt_about_pitch(pitch_mm)
     if doubt:
         raise DataError(doubt, field="camera")
     if kind == "python":
