@@ -292,6 +292,22 @@ def test_what_frames_contradict_is_counted_and_named(tmp_path: Path):
     assert load_window(found.path, 3).amplitude.status is Status.COMPLETE
 
 
+@pytest.mark.parametrize("step_px", [0.0, 0.01])
+def test_frames_that_end_a_run_are_named(tmp_path: Path, step_px: float):
+    burst = part(0, 24, step_px=step_px)
+    light = burst.amplitude.copy()
+    light[14, 3, 5] = -0.2  # the third frame of its window
+    film = write_recording(tmp_path / "film.nc", 24, [replace(burst, amplitude=light)])
+    wrong = r"frames 12 to 15: .* got -0\.2 in frame 2 at row 3, column 5 .* in valid"
+    with pytest.raises(DataError, match=wrong):
+        reconstruct_recording(film, tmp_path / "sr.nc")
+    light[14, 3, 5] = np.nan
+    film = write_recording(tmp_path / "mended.nc", 24, [replace(
+        burst, amplitude=np.nan_to_num(light), valid=np.isfinite(light)
+    )])  # fmt: skip
+    reconstruct_recording(film, tmp_path / "mended_sr.nc")
+
+
 @pytest.mark.parametrize(
     ("step_px", "every", "said"),  # the default run takes each once
     [

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from lensshift.core.arrays import Array
-from lensshift.core.errors import QualityWarning, of_extra
+from lensshift.core.errors import QualityWarning, about, of_extra
 from lensshift.core.types import Burst, Frame, Reconstruction
 from lensshift.io.burst_file import Recording, open_recording
 from lensshift.io.piecewise_file import PiecewiseFile
@@ -201,7 +201,11 @@ def _pictures(
         if burst is None or not shown[begin : begin + job.window].any():
             yield None, [NOTHING]
             continue
-        with warnings.catch_warnings(record=True, action="always", category=QualityWarning) as said:
+        frames = f"frames {start + begin} to {start + begin + job.window - 1}"
+        with (
+            about(frames),
+            warnings.catch_warnings(record=True, action="always", category=QualityWarning) as said,
+        ):
             if camera is None:
                 found = reconstruct(burst.select(range(begin, begin + job.window)), **told)
             else:

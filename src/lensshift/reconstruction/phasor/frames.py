@@ -134,7 +134,11 @@ def polar_frames(burst: Burst) -> PolarFrames:
         raise ValueError("the burst has no distance_m; the phasor channel needs it, or phasors")
     amplitude = np.where(valid, burst.amplitude, 0).astype(np.float64)
     if amplitude.min() < 0:
-        raise ValueError(f"expected amplitudes of at least 0, got {amplitude.min():g}")
+        k, row, col = np.unravel_index(np.argmin(amplitude), amplitude.shape)
+        raise ValueError(
+            f"expected amplitudes of at least 0, got {amplitude.min():g} in frame {k} at row {row},"
+            f" column {col} and {np.sum(amplitude < 0) - 1} more; leave them out in valid"
+        )
     distance_m = np.where(valid, burst.distance_m, 0).astype(np.float64)
     seen_m = distance_m[valid]
     if modulation_hz is not None:
