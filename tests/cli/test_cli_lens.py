@@ -153,8 +153,8 @@ def test_which_compares_all_elements(call: Call, tmp_path: Path) -> None:
 def test_light_that_is_lost_is_told_once_for_the_field_that_loses_most(
     call: Call, tmp_path: Path
 ) -> None:
-    front = Surface(20.0, semi_diameter_mm=3.0)
-    glass = Element((front, Surface(-30.0, semi_diameter_mm=3.0)), ("N-BK7",), (3.0,), name="a")
+    front = Surface(20.0, semi_diameter_mm=3.2)
+    glass = Element((front, Surface(-30.0, semi_diameter_mm=3.2)), ("N-BK7",), (3.0,), name="a")
     lens = Lens((glass,), (22.5,), Stop(6.0, -8.0))
     save_lens(lens, tmp_path / "cut.toml")
     sensor = "--sensor", "80x30", "--pitch-mm", 0.155
