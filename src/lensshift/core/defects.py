@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lensshift.core.arrays import Array, Mask
+from lensshift.core.order import median_of_known
 
 # A pixel is stuck if it stands out of its neighbours, in all frames, by this many times what they
 # and it change by: a point of light that moves by a quarter pixel behind a lens of 0.2 px lends a
@@ -87,7 +88,8 @@ def offset_columns(frames: Array, valid: Mask) -> Mask:
         return found
     inner = y[:, :, 1:-1] - 0.5 * (y[:, :, :-2] + y[:, :, 2:])
     of_column = np.zeros((len(frames), inner.shape[2]))
-    of_column[:, told] = np.nanmedian(np.where(whole, inner, np.nan)[:, :, told], axis=1)
+    known = np.where(whole, inner, np.nan)[:, :, told]
+    of_column[:, told] = median_of_known(known, axis=1)
     least = np.abs(of_column).min(axis=0) * (np.ptp(np.sign(of_column), axis=0) == 0)
     change, most = (np.pad(of, 1) for of in (np.ptp(of_column, axis=0), np.abs(of_column).max(0)))
     change = np.maximum(np.maximum(change[:-2], change[2:]), change[1:-1])

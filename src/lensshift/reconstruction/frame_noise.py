@@ -19,6 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.order import quantile
 from lensshift.reconstruction.noise_law import MOST_FRAMES, NoiseLaw, windows
 from lensshift.reconstruction.smooth_fit import MIDDLE, SmoothFits, smooth_fits
 
@@ -172,8 +173,10 @@ def _calm(fits: SmoothFits, values: Array, used: Mask, lit: Array) -> _Calm | No
     for e, c, i, on in zip(energy, contrast, light, full, strict=True):
         if np.count_nonzero(on) * CALM < FEWEST_BLOCKS:
             return None
-        calm = on & (c <= np.quantile(c[on], CALM))
-        found.append((*np.quantile(e[calm], (LOW, HIGH)), np.count_nonzero(calm), i[calm].mean()))
+        calm = on & (c <= quantile(np.sort(c[on]), CALM))
+        ordered = np.sort(e[calm])
+        low, high = quantile(ordered, LOW), quantile(ordered, HIGH)
+        found.append((low, high, len(ordered), i[calm].mean()))
     return _Calm(*np.array(found).T)
 
 

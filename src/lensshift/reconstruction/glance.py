@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Array, Mask, Shifts
 from lensshift.core.gaussian import MAD_TO_SIGMA
-from lensshift.reconstruction.noise import usual_size
+from lensshift.core.order import quantile
+from lensshift.reconstruction.noise import ordered_around, usual_size
 from lensshift.reconstruction.quick_shifts import found_shifts, low_passed
 
 # A part of the sensor and some of the frames tell enough, at a bounded price. Shifts in a unit that
@@ -86,13 +87,8 @@ def _lone(values: Array) -> Mask:
     """
     if np.iscomplexobj(values):
         return _lone(values.real) | _lone(values.imag)
-    windows = np.lib.stride_tricks.sliding_window_view(
-        np.pad(values, ((0, 0), (1, 1), (1, 1)), mode="symmetric"), (3, 3), (1, 2)
-    )
-    around = np.moveaxis(windows, 0, 2).reshape(*values.shape[1:], -1)
-    around.sort(axis=-1)  # several times as fast as `median`
-    count = around.shape[-1]
-    apart = values - 0.5 * (around[..., (count - 1) // 2] + around[..., count // 2])
+    around = ordered_around(values)
+    apart = values - quantile(around, 0.5)
     usual = np.maximum(usual_size(apart), MAD_TO_SIGMA * np.median(np.abs(apart)))
     return np.asarray(np.abs(apart) > STANDS_OUT * usual)
 

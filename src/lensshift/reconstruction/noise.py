@@ -9,6 +9,7 @@ import numpy as np
 
 from lensshift.core.arrays import Array, Mask
 from lensshift.core.gaussian import MAD_TO_SIGMA, UPPER_QUARTILE_SIZE
+from lensshift.core.order import median_of_known, quantile
 from lensshift.forward.differences import differences
 from lensshift.forward.least_squares import NEIGHBOURS, smooth_fit
 from lensshift.forward.operator import LinearOperator, single
@@ -144,10 +145,8 @@ def _quietest(residual: Array, kept: Mask) -> float:
         full = np.isfinite(blocks).any(axis=1)
     if not full.any():  # what is valid lies between the blocks
         blocks, full = sizes.reshape(1, -1), np.array([True])
-    ordered = np.sort(blocks[full], axis=1)  # NaN last; nanmedian takes ten times as long
-    last = np.isfinite(ordered).sum(axis=1) - 1
-    middle = [np.take_along_axis(ordered, k[:, None], 1) for k in (last // 2, (last + 1) // 2)]
-    return float(MAD_TO_SIGMA * np.quantile(np.mean(middle, axis=0), QUIET_SHARE))
+    middle = np.sort(median_of_known(blocks[full], axis=1))
+    return float(MAD_TO_SIGMA * quantile(middle, QUIET_SHARE))
 
 
 def usual_size(residual: Array) -> Array:
@@ -156,10 +155,17 @@ def usual_size(residual: Array) -> Array:
     From the upper quartile: the median says nothing of lines and corners that fill less than half
     of the neighbourhood, and outliers that fill a quarter of it are no outliers.
     """
+    return quantile(ordered_around(np.abs(residual)), 0.75) / UPPER_QUARTILE_SIZE
+
+
+def ordered_around(values: Array) -> Array:
+    """Return [row col number] the values of all frames [frame row col] around a pixel, in order."""
     reach = NEIGHBOURHOOD_PX // 2
-    padded = np.pad(np.abs(residual), ((0, 0), (reach, reach), (reach, reach)), mode="symmetric")
+    padded = np.pad(values, ((0, 0), (reach, reach), (reach, reach)), mode="symmetric")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (NEIGHBOURHOOD_PX,) * 2, (1, 2))
-    return np.asarray(np.quantile(windows, 0.75, axis=(0, 3, 4)) / UPPER_QUARTILE_SIZE)
+    around = np.moveaxis(windows, 0, 2).reshape(*values.shape[1:], -1)
+    around.sort(axis=-1)  # several times as fast as `median` or `quantile`
+    return around
 
 
 def light_of(y: Array, used: Mask) -> Array:

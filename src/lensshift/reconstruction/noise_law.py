@@ -16,6 +16,7 @@ from scipy.ndimage import uniform_filter
 from scipy.special import gammaln
 
 from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.order import quantile
 from lensshift.reconstruction.smooth_fit import MIDDLE, SmoothFits, outliers, refilled, smooth_fits
 
 # Windows spread over a large sensor tell as much as the whole of it; as many frames are enough.
@@ -246,15 +247,15 @@ def _fitted(energy: Array, light: Array, white: _White) -> NoiseLaw:
     """Return level and slope from blocks [fit block]."""
     purity = energy[0] / np.maximum(energy[-1], 1e-30)
     # Of fewer blocks than of noise are left out none is known to be free of texture.
-    least = float(np.quantile(purity, 1 - PASSING))
+    least = float(quantile(np.sort(purity), 1 - PASSING))
     pure = purity <= max(white.purity, least)
     relative, seen = energy[:, pure] / white.low[:, None], light[pure]
-    best = int(np.quantile(relative, LOW, axis=1).argmin())
+    best = int(quantile(np.sort(relative), LOW).argmin())
     values = relative[best]
     low, high = float(seen.min()), float(seen.max())
     slope = (_brighter(values, seen, white.energy[best]) - 1) / max(high - low, 1e-30)
     # At the darkest; the low quantile is no block that texture is in.
-    level = float(np.quantile(values / (1 + slope * (seen - low)), LOW))
+    level = float(quantile(np.sort(values / (1 + slope * (seen - low))), LOW))
     mean = level * float(np.mean(1 + slope * (np.clip(light, low, high) - low)))
     return NoiseLaw(
         math.sqrt(mean), level * (1 - slope * low), level * slope, low, high,
@@ -276,7 +277,7 @@ def _brighter(values: Array, light: Array, white: Array) -> float:
     at = (light - light.min()) / (light.max() - light.min())
     relative = values / (1 + (BRIGHTER[:, None] - 1) * at)
     shape = float(white.mean()) ** 2 / float(white.var())
-    level = np.quantile(relative, LOW, axis=1, keepdims=True) * float(white.mean())
+    level = quantile(np.sort(relative), LOW)[:, None] * float(white.mean())
     share = 0.5
     for _ in range(MIXTURE_STEPS):
         log_x = np.log(np.maximum(relative / level, 1e-30))

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.order import quantile
 from lensshift.core.types import Burst, ShiftField
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.forward.model import ForwardModel, forward_model
@@ -149,7 +150,7 @@ def brightness_of(values: Array, used: Mask) -> float:
 
     A method that divides by it gives twice the image for twice the frames.
     """
-    return float(np.percentile(np.abs(some_pixels(values, used)), 99.5)) or 1.0
+    return float(quantile(np.sort(np.abs(some_pixels(values, used))), 0.995)) or 1.0
 
 
 def make_problem(
@@ -314,10 +315,11 @@ def _large_level(values: Array, used: Mask) -> tuple[float, float]:
     """Return median and contrast of frames far from 0 for their contrast, 0 and 0 of others."""
     if values.dtype.kind == "c":
         return 0.0, 0.0
-    low, level, high = np.percentile(some_pixels(values, used), (0.5, 50.0, 99.5))
+    ordered = np.sort(some_pixels(values, used))
+    low, level, high = (float(quantile(ordered, share)) for share in (0.005, 0.5, 0.995))
     if abs(level) <= LARGE_LEVEL * (high - low):
         return 0.0, 0.0
-    return float(level), float(high - low)
+    return level, high - low
 
 
 def some_pixels(values: Array, used: Mask, most: int = MOST_PIXELS) -> Array:
