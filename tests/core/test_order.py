@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from lensshift.core.order import median_of_known, quantile
+from lensshift.core.order import median, median_of_known, quantile
 
 values = arrays(
     np.float64, array_shapes(min_dims=1, max_dims=3, max_side=7), elements=st.floats(-1e6, 1e6)
@@ -17,6 +17,11 @@ values = arrays(
 def test_quantiles_are_those_of_numpy(values: np.ndarray, share: float) -> None:
     found = quantile(np.sort(values), share)
     np.testing.assert_allclose(found, np.quantile(values, share, axis=-1), rtol=1e-9, atol=1e-6)
+
+
+@given(values=values)
+def test_medians_are_those_of_numpy(values: np.ndarray) -> None:
+    assert median(values) == pytest.approx(float(np.median(values)), rel=1e-9, abs=1e-6)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

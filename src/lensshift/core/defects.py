@@ -91,7 +91,8 @@ def offset_columns(frames: Array, valid: Mask) -> Mask:
     known = np.where(whole, inner, np.nan)[:, :, told]
     of_column[:, told] = median_of_known(known, axis=1)
     least = np.abs(of_column).min(axis=0) * (np.ptp(np.sign(of_column), axis=0) == 0)
-    change, most = (np.pad(of, 1) for of in (np.ptp(of_column, axis=0), np.abs(of_column).max(0)))
+    change, most = np.zeros((2, frames.shape[2]))
+    change[1:-1], most[1:-1] = np.ptp(of_column, axis=0), np.abs(of_column).max(axis=0)
     change = np.maximum(np.maximum(change[:-2], change[2:]), change[1:-1])
     limit = np.maximum(STANDS_OUT * change, spread)
     found[1:-1] = told & (least > limit) & (least > np.maximum(most[:-2], most[2:]))
@@ -232,10 +233,8 @@ def _blocks_of_four(values: Array) -> Array:
 def _of_neighbours(values: Array, least_or_most: np.ufunc) -> Array:
     """Return the least or the most [row col] of the eight neighbours that there are."""
     beyond = np.inf if least_or_most is np.minimum else -np.inf
-    rows, cols = values.shape
-    padded = np.pad(values, 1, constant_values=beyond)
-    found = np.full(values.shape, beyond)
-    for i, j in np.ndindex(3, 3):
-        if (i, j) != (1, 1):
-            least_or_most(found, padded[i : i + rows, j : j + cols], out=found)
-    return found
+    wide = np.full(np.add(values.shape, 2), beyond)
+    wide[1:-1, 1:-1] = values
+    beside = least_or_most(wide[:, :-2], wide[:, 2:])
+    across = least_or_most(beside, wide[:, 1:-1])
+    return np.asarray(least_or_most(least_or_most(across[:-2], across[2:]), beside[1:-1]))

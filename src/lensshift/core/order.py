@@ -16,6 +16,13 @@ def quantile(ordered: Array, share: float) -> Array:
     return np.asarray(below + (at % 1) * (ordered[..., math.ceil(at)] - below))
 
 
+def median(values: Array) -> float:
+    """Return the median of all values, none of them NaN, as `numpy.median`."""
+    middle = (values.size - 1) // 2, values.size // 2
+    ordered = np.partition(values, middle, axis=None)
+    return float(0.5 * ordered[middle[0]] + 0.5 * ordered[middle[1]])
+
+
 def median_of_known(values: Array, axis: int) -> Array:
     """Return the median along an axis of what is not NaN there, as `numpy.nanmedian`.
 

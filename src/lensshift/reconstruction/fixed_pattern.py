@@ -21,6 +21,7 @@ from scipy.ndimage import correlate1d, minimum_filter, uniform_filter
 from scipy.optimize import nnls
 
 from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.order import median
 
 # Fewer frames, or smaller ones, do not tell the pattern from the scene.
 LEAST_FRAMES, LEAST_PX = 3, 12
@@ -137,13 +138,13 @@ def _covariances(frames: Array, valid: Mask) -> tuple[Floats, Floats]:
     Calm pixels count more: there is less of the scene in them.
     """
     used = valid.all(axis=0)
-    level = float(np.median(frames[:, used])) if used.any() else 0.0
+    level = median(frames[:, used]) if used.any() else 0.0
     y = np.where(used, frames, level).astype(np.float64) - level
     rough = y - correlate1d(correlate1d(y, SMOOTH, axis=1), SMOOTH, axis=2)
     whole = (minimum_filter(used, 3) * 1.0)[1:-1, 1:-1]
     rough = rough[:, 1:-1, 1:-1] * whole
     unrest = uniform_filter(np.mean(rough**2, axis=0), 5)
-    usual = float(np.median(unrest)) or float(unrest.mean())
+    usual = median(unrest) or float(unrest.mean())
     calm = whole / (unrest + usual) if usual > 0.0 else 0.0 * whole  # frames of one value
     ends = [np.linspace(REACH_PX, n - REACH_PX, PARTS + 1).round().astype(int)
             for n in whole.shape]  # fmt: skip

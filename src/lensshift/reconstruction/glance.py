@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Array, Mask, Shifts
 from lensshift.core.gaussian import MAD_TO_SIGMA
-from lensshift.core.order import quantile
+from lensshift.core.order import median, quantile
 from lensshift.reconstruction.noise import ordered_around, usual_size
 from lensshift.reconstruction.quick_shifts import found_shifts, low_passed
 
@@ -76,8 +76,8 @@ def glance(frames: ArrayLike, offset_px: ArrayLike, valid: Mask) -> Glance | Non
 def _middle(values: Array) -> complex:
     """Return the median, of complex numbers that of their parts."""
     if np.iscomplexobj(values):
-        return complex(np.median(values.real), np.median(values.imag))
-    return float(np.median(values))
+        return complex(median(values.real), median(values.imag))
+    return median(values)
 
 
 def _lone(values: Array) -> Mask:
@@ -89,7 +89,7 @@ def _lone(values: Array) -> Mask:
         return _lone(values.real) | _lone(values.imag)
     around = ordered_around(values)
     apart = values - quantile(around, 0.5)
-    usual = np.maximum(usual_size(apart), MAD_TO_SIGMA * np.median(np.abs(apart)))
+    usual = np.maximum(usual_size(apart), MAD_TO_SIGMA * median(np.abs(apart)))
     return np.asarray(np.abs(apart) > STANDS_OUT * usual)
 
 

@@ -15,6 +15,7 @@ from scipy.ndimage import find_objects, label, maximum, maximum_filter
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.core.local_means import mean_around
+from lensshift.core.order import median
 from lensshift.forward.operator import LinearOperator, mean_seen, single
 from lensshift.reconstruction.displacement import (
     ALLOWED_SHIFT_PX,
@@ -214,7 +215,7 @@ def find_misfit(A: LinearOperator, image: Array, y: Array, sigma: Floats, scale:
     q = told / excess
     # Noise that most pixels refute was found and not read (`learned/belief.py`): no measure alone.
     usual_square = MEDIAN_SIZE**2 if parts == 1.0 else np.log(2.0)  # medians of chi-square
-    beside_all = told / max(float(np.median(told[used])) / usual_square, 1.0)
+    beside_all = told / max(median(told[used]) / usual_square, 1.0)
     alone = _alone(q)
     limit = _limit(alone, used)
     inner = seen.copy()  # border pixels see what lies beside the picture

@@ -9,7 +9,7 @@ import numpy as np
 
 from lensshift.core.arrays import Array, Mask
 from lensshift.core.gaussian import MAD_TO_SIGMA, UPPER_QUARTILE_SIZE
-from lensshift.core.order import median_of_known, quantile
+from lensshift.core.order import median, median_of_known, quantile
 from lensshift.forward.differences import differences
 from lensshift.forward.least_squares import NEIGHBOURS, smooth_fit
 from lensshift.forward.operator import LinearOperator, single
@@ -33,7 +33,7 @@ def robust_scale(values: Array) -> float:
     """
     if values.dtype.kind == "c":
         values = np.concatenate([values.real.ravel(), values.imag.ravel()])
-    return float(MAD_TO_SIGMA * np.median(np.abs(values - np.median(values))))
+    return MAD_TO_SIGMA * median(np.abs(values - median(values)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,15 +176,21 @@ def light_of(y: Array, used: Mask) -> Array:
     dark beside the bright. Thin poles keep theirs.
     """
     y = (np.abs(y) if y.dtype.kind == "c" else y).astype(np.float32)
-    around, known = (np.pad(a, ((0, 0), (1, 1), (1, 1)), mode="edge") for a in (y, used))
-    places = ((0, 1), (2, 1), (1, 0), (1, 2))
-    rows, cols = y.shape[1:]
-    parts = (np.s_[:, i : i + rows, j : j + cols] for i, j in places)
-    a, b, c, d = (np.where(known[part], around[part], y) for part in parts)
+    places = [(axis, _moved_by(step, y.shape[axis])) for axis in (1, 2) for step in (-1, 1)]
+    parts = [y.take(at, axis) for axis, at in places]
+    if not used.all():
+        parts = [np.where(used.take(at, axis), one, y)
+                 for (axis, at), one in zip(places, parts, strict=True)]  # fmt: skip
+    a, b, c, d = parts
     # Of five the median is that of the fifth, the greater of the small and the less of the great.
     low = np.maximum(np.minimum(a, b), np.minimum(c, d))
     high = np.minimum(np.maximum(a, b), np.maximum(c, d))
     return np.clip(y, np.minimum(low, high), np.maximum(low, high))
+
+
+def _moved_by(step: int, size: int) -> Array:
+    """Return numbers of pixels a step on; those at the end have themselves beside them."""
+    return np.clip(np.arange(size) + step, 0, size - 1)
 
 
 def _spread(values: Array) -> float:

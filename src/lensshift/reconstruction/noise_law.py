@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter
 from scipy.special import gammaln
 
 from lensshift.core.arrays import Array, Floats, Mask
-from lensshift.core.order import quantile
+from lensshift.core.order import median, quantile
 from lensshift.reconstruction.smooth_fit import MIDDLE, SmoothFits, outliers, refilled, smooth_fits
 
 # Windows spread over a large sensor tell as much as the whole of it; as many frames are enough.
@@ -135,7 +135,7 @@ def noise_law(
     if not used.any():  # what is valid lies between the windows
         seen, used, cut = (one[None] for one in whole)
     parts = [seen.real, seen.imag][:components]
-    level = 0.0 if components == 2 else float(np.median(seen[used]))
+    level = 0.0 if components == 2 else median(seen[used])
     values = np.concatenate([np.where(used, part - level, 0.0) for part in parts])
     lit = np.concatenate([np.where(used, np.abs(seen) if len(parts) > 1 else seen - level, 0.0)
                           for _ in parts])  # fmt: skip

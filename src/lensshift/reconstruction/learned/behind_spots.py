@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lensshift.core.arrays import Floats
+from lensshift.core.order import median
 from lensshift.reconstruction.problem import Problem, blur_width_px
 
 _LARGEST_PX = 64.0  # structures larger than this add no more, as in `optics.picture`
@@ -32,7 +33,7 @@ def wider_behind_spots(problem: Problem, sigma: Floats) -> Floats:
     model, used = problem.model, np.isfinite(sigma) & (problem.weight > 0)
     if model.spot_px2 is None:
         return np.ones(model.hr_shape)
-    noise = max(float(np.median(sigma[used])), 1e-15) ** 2
+    noise = max(median(sigma[used]), 1e-15) ** 2
     told = model.frames * max(float(np.var(np.abs(problem.y[used]))) / noise, 1.0)
     spot_px2 = np.maximum(model.spot_px2.mean(axis=(0, 3)), 0.0)
     widths_px2 = np.linspace(0.0, max(float(spot_px2.max()), 1e-9), _WIDTHS)

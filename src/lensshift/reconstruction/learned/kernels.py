@@ -55,5 +55,6 @@ Kernels: TypeAlias = "Compiled | DeviceKernels"
 
 
 def _each(apply: Callable[..., Array], *batches: Array) -> Array:
-    found = [apply(*ones) for ones in zip(*batches, strict=True)]
-    return found[0][None] if len(found) == 1 else np.stack(found)
+    if len(batches[0]) == 1:  # mostly
+        return apply(*(batch[0] for batch in batches))[None]
+    return np.stack([apply(*ones) for ones in zip(*batches, strict=True)])

@@ -18,6 +18,7 @@ from scipy.special import expit
 
 from lensshift.core.arrays import Array, Floats
 from lensshift.core.local_means import gaussian_around, mean_around
+from lensshift.core.order import median
 from lensshift.core.units import within_half_a_turn
 from lensshift.forward.operator import LinearOperator, mean_seen, single
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX, WINDOW_PX, slopes_of
@@ -156,7 +157,7 @@ def _second_phase(
     A, used = asked.model.operator, np.isfinite(asked.sigma)
     a, phase = np.abs(image), np.angle(image)
     seen, mean = A.forward(single(image)), A.forward(single(phase))
-    least = LEAST_SHARE_OF_LIGHT**0.5 * float(np.median(np.abs(seen[used])))
+    least = LEAST_SHARE_OF_LIGHT**0.5 * median(np.abs(seen[used]))
     light = np.maximum(np.abs(seen), max(least, TINY))
     theta = mean + np.where(used, np.angle(asked.y * seen.conj()), 0.0)
     other = solve(replace(asked, y=theta, sigma=asked.sigma / light, general=True))

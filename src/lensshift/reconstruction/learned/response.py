@@ -17,6 +17,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from lensshift.core.arrays import Array, Floats
+from lensshift.core.order import median
 from lensshift.forward.model import ForwardModel
 from lensshift.reconstruction.learned.chain import Chain
 from lensshift.reconstruction.learned.kernels import COMPILED
@@ -83,7 +84,7 @@ def pictures_of(model: ForwardModel, y: Array, sigma: Floats) -> list[Array]:
     used = np.isfinite(sigma)
     unit, level = (
         np.array([function(values[on]) for values, on in zip(all_, used, strict=True)])
-        for function, all_ in ((np.mean, sigma), (np.median, y))
+        for function, all_ in ((np.mean, sigma), (median, y))
     )
     unit, level = unit[:, None, None, None], level[:, None, None, None]
     relative = np.where(used, sigma / unit, 1.0).astype(np.float32)

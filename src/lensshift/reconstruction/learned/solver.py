@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Floats
+from lensshift.core.order import median
 from lensshift.forward.model import ForwardModel
 from lensshift.reconstruction.learned.chain import (
     TINY,
@@ -119,7 +120,7 @@ class Asked:
         used = np.isfinite(self.sigma)
         unit = float(np.mean(self.sigma[used]))
         if not self.of_phasors:
-            return unit, 1 / unit, float(np.median(self.y[used]))
+            return unit, 1 / unit, median(self.y[used])
         middle = np.sum(self.y[used])
         turn = np.conj(middle) / abs(middle) if abs(middle) > 0 else 1.0
         return unit, turn / unit, 0.0

@@ -14,6 +14,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import QualityWarning
+from lensshift.core.order import median
 from lensshift.core.types import Burst, Estimate, Status
 from lensshift.core.units import PhaseScale, distance_to_phase
 from lensshift.forward.prediction import (
@@ -155,7 +156,7 @@ def _one_frequency(
     steps = Steps.of(problem, part, frames)
     sigma = np.maximum(noise_map(problem, request.law)[2], steps.least_noise(problem))
     used = problem.weight > 0
-    typical = float(np.median(sigma[used]))
+    typical = median(sigma[used])
     if method == "auto":
         found = _learned(problem, sigma, request)
         told = np.asarray(found.std) if request.std else None
@@ -248,7 +249,7 @@ def _result(
     """Bring a complex estimate back to the units of the burst, as amplitude and distance."""
     unit, std = problem.intensity, found.uncertainty
     noise = found.noise_sigma or 0.0
-    bright = max(float(np.median(np.abs(problem.y[problem.weight > 0]))), noise) or 1.0
+    bright = max(median(np.abs(problem.y[problem.weight > 0])), noise) or 1.0
     noise_m = noise / bright / scale.rad_per_m
     distance_m = scale.distance_m(phase_rad)
     fine = found.fine

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Array, Floats
+from lensshift.core.order import median
 from lensshift.core.types import Burst
 from lensshift.core.units import (
     SPEED_OF_LIGHT_MPS,
@@ -146,7 +147,7 @@ def polar_frames(burst: Burst) -> PolarFrames:
         if seen_m.min() >= 0 and seen_m.max() <= range_m:
             phasor = from_polar(amplitude, distance_to_phase(distance_m, modulation_hz))
             return _from_complex(phasor, modulation_hz)
-        scale = PhaseScale(modulation_hz, float(np.median(seen_m)), False, "burst")
+        scale = PhaseScale(modulation_hz, median(seen_m), False, "burst")
     else:
         scale = _spread_over_half_a_turn(seen_m)
     phase_rad = np.where(valid, (distance_m - scale.reference_m) * scale.rad_per_m, 0.0)
@@ -165,7 +166,7 @@ def _from_complex(phasor: Array, modulation_hz: float | None) -> PolarFrames:
 
 def _spread_over_half_a_turn(seen_m: Array) -> PhaseScale:
     """Return the scale at which the distances of a burst make half a turn."""
-    reference_m = float(np.median(seen_m))
+    reference_m = median(seen_m)
     span_m = float(np.ptp(seen_m)) or abs(reference_m) or 1.0
     modulation_hz = SPEED_OF_LIGHT_MPS / (4.0 * span_m)
     return PhaseScale(modulation_hz, reference_m, False, "range of the distances")

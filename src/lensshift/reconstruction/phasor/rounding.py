@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lensshift.core.arrays import Floats
+from lensshift.core.order import median
 from lensshift.core.types import Burst
 from lensshift.forward.operator import mean_seen, single
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
@@ -83,6 +84,6 @@ def differ_by_rounding(part: Burst) -> bool:
         return True
     if part.distance_m is None or not within_rounding(part.distance_m, valid):
         return False
-    light = float(np.median(frames.amplitude[valid]))
+    light = median(frames.amplitude[valid])
     of_distance = light * frames.scale.rad_per_m * apart_rms(part.distance_m, valid)
     return of_distance > apart_rms(frames.amplitude, valid)
