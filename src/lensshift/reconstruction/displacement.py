@@ -74,18 +74,18 @@ def displaced(r: Array, slopes: Array, variance: Array, seen: Array) -> Array:
     pull = np.stack([cos * p + sin * q, cos * q - sin * p])
     squares = pull[0] ** 2 / known[0]
     # Errors of a camera are in every frame; what moves is where the picture has it in some.
-    ordinary = [usual(squares[k], known[0, k]) for k in range(len(r)) if seen[k].any()]
-    chance = max(min(ordinary, default=0.0) / MEDIAN_SIZE**2, 1.0)
+    ordinary = usual(some_pixels(squares), some_pixels(known[0]))[seen.any(axis=(1, 2))]
+    chance = max(float(ordinary.min(initial=np.inf)) / MEDIAN_SIZE**2, 1.0)
     least = LEAST_OFF_PX**2 * known**2 + SURE**2 * chance * known
     return np.asarray(np.max(pull**2 / least, axis=0))
 
 
-def usual(values: Array, weight: Array) -> float:
-    """Return the weighted median of values."""
-    values, weight = some_pixels(values).ravel(), some_pixels(weight).ravel()
-    order = np.argsort(values)
-    total = np.cumsum(weight[order])
-    return float(values[order[np.searchsorted(total, total[-1] / 2)]])
+def usual(values: Array, weight: Array) -> Array:
+    """Return the weighted median [frame] of values [frame pixel]."""
+    order = np.argsort(values, axis=-1)
+    total = np.cumsum(np.take_along_axis(weight, order, -1), axis=-1)
+    middle = np.argmax(total >= total[:, -1:] / 2, axis=-1)[:, None]
+    return np.take_along_axis(values, np.take_along_axis(order, middle, -1), -1)[:, 0]
 
 
 def around(values: Array, seen: Array, side_px: int, missing: float) -> Array:

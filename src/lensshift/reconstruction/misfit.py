@@ -323,13 +323,12 @@ def _brightness(
     # In a smooth scene light goes with slopes, and the fit hardly tells them apart.
     chance = LIGHT_SIGMAS**2 * np.sum((covariance[:, :2, :2] @ lit).conj() * lit, axis=1).real * on
     # A few bright pixels that do not fit have a gain of their own, whatever the dark ones say.
-    left = zip(np.abs(r - (fit @ terms)[:, 0]), variance, on, light, chance, strict=True)
-    rest = [
-        max(max(usual(size, w) for w in (seen, there)) / MEDIAN_SIZE,
-            LEAST_REST * np.sqrt(usual(var, there)), np.sqrt(odds.sum() / seen.sum()))
-        for size, var, seen, there, odds in left
-    ]  # fmt: skip
-    return float(np.max(np.sqrt(np.sum(light, axis=-1) / on.sum(axis=-1)) / rest)), found
+    size, number = np.abs(r - (fit @ terms)[:, 0]), on.sum(axis=-1)
+    rest = np.maximum.reduce([
+        usual(size, on) / MEDIAN_SIZE, usual(size, light) / MEDIAN_SIZE,
+        LEAST_REST * np.sqrt(usual(variance, light)), np.sqrt(chance.sum(axis=-1) / number),
+    ])  # fmt: skip
+    return float(np.max(np.sqrt(light.sum(axis=-1) / number) / rest)), found
 
 
 def _lone_frame(doubt: Array) -> int | None:
