@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from lensshift import Burst, reconstruct
 from lensshift.core.errors import QualityWarning
+from lensshift.core.grid import Grid
+from lensshift.core.intrinsics import Pinhole
 from lensshift.core.types import Reconstruction
 from lensshift.core.units import (
     SPEED_OF_LIGHT_MPS,
@@ -254,6 +256,40 @@ def test_small_steps_have_flying_pixels_too_and_slanted_walls_none() -> None:
     found = flying_pixels(step_m, noise_m=sigma_m)
     assert found[2:-2, 7].mean() > 0.9
     assert not np.delete(found, 7, axis=1).any()
+
+
+def floor_m(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
+    """Return the radial distances of a floor that a camera sees at 3 to 35 degrees."""
+    pinhole = Pinhole.of_field(Grid(shape, (0.1, 0.1)), np.deg2rad(40.0))
+    tilt_rad, turn_rad = np.deg2rad(rng.uniform(58.0, 62.0)), rng.uniform(0.0, 2.0 * np.pi)
+    flat = np.sin(tilt_rad)
+    normal = [flat * np.cos(turn_rad), flat * np.sin(turn_rad), np.cos(tilt_rad)]
+    return np.asarray(1.2 / (pinhole.directions(shape) @ np.array(normal)))
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("share", [0.0003, 0.003])
+def test_floors_do_not_fly_however_steep(seed: int, share: float) -> None:
+    """Their neighbours differ by more than 5 %, which passed for two surfaces."""
+    rng = np.random.default_rng(seed)
+    wall_m = floor_m(rng, (24, 30))
+    assert max(np.abs(np.diff(np.log(wall_m), axis=axis)).max() for axis in (0, 1)) > 0.05
+    noise_m = share * wall_m
+    found = flying_pixels(wall_m + noise_m * rng.standard_normal(wall_m.shape), noise_m=noise_m)
+    assert found.mean() < 0.02  # a third to all of them before
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_pixels_that_mix_a_floor_with_a_box_before_it_fly(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    row, _ = np.mgrid[:24, :30]
+    wall_m = 1.0 / (0.15 + 0.01 * row)  # from 6.7 to 2.6 m, 4 % a row
+    near_m = 0.6 * wall_m[12]
+    image_m = wall_m + 0.01 * rng.standard_normal(wall_m.shape)
+    image_m[8:16, 10:20] = near_m[10:20] + 0.01 * rng.standard_normal((8, 10))
+    share = rng.uniform(0.3, 0.7, 8)
+    image_m[8:16, 20] = share * near_m[20] + (1 - share) * wall_m[8:16, 20]
+    assert flying_pixels(image_m, noise_m=0.01)[9:15, 20].all()
 
 
 def test_estimates_predict_the_frames() -> None:

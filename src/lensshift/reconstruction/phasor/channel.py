@@ -9,10 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.ndimage import maximum_filter, minimum_filter
 
-from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.arrays import Floats, Mask
 from lensshift.core.errors import QualityWarning
 from lensshift.core.order import median
 from lensshift.core.types import Burst, Estimate, Status
@@ -31,6 +29,7 @@ from lensshift.reconstruction.learned.phasors import NO_PHASE_RAD
 from lensshift.reconstruction.learned.unseen import LEAST_SEEN, share_seen, with_gaps
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import ESTIMATED
+from lensshift.reconstruction.phasor.flying import flying_pixels
 from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, doubt_about_phases
 from lensshift.reconstruction.phasor.reach import within_reach
@@ -44,13 +43,8 @@ TURNED_LIMIT = 0.01
 # So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
 # (training/validate.py --phasor --calibrate); that of the phase would be 0.8 and is left wider.
 AMPLITUDE_STD_SCALE = 0.74
-# A pixel between two surfaces keeps this share of their step to both of them.
-FLYING_SHARE = 0.2
-FLYING_STEP = 0.05  # of the distance: smaller steps are no edges
-FLYING_SIGMAS = 3.0
 # Gains are estimated of real frames, which costs the distance where there are but phasors.
 DIVIDED = "divide amplitudes, or phasors, by the exposure of their frame"
-LEAST_STEP_M = 1e-6  # rounding of a distance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -279,42 +273,3 @@ def _result(
     unseen = share_seen(problem.model.operator, problem.weight > 0) < LEAST_SEEN
     flying = flying_pixels(distance_m, noise_m=std_m) | unseen
     return PhasorResult(amplitude, distance, flying, unseen)
-
-
-def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> Mask:
-    """Return the pixels [row col] that lie between two surfaces and on neither.
-
-        d - near >= q (far - near),   far - d >= q (far - near),   q = 0.2
-
-    where near and far are either the nearest and farthest of the 3 x 3 neighbours, more than 5 % of
-    near and 3 sigma apart: less may be one slanted surface; or what the two pixels on either side,
-    along a row or a column, go on to at this pixel, from both of which it is off by more than
-    3 sqrt(6) sigma, the noise of that comparison: steps of any height, no slanted surface.
-
-    Parameters
-    ----------
-    distance_m : [row col]
-    noise_m : standard deviation of the distances, sigma, one number or [row col]
-    """
-    image_m = np.asarray(distance_m, np.float64)
-    sigma_m = np.broadcast_to(np.asarray(noise_m, np.float64), image_m.shape)
-    near_m, far_m = minimum_filter(image_m, 3), maximum_filter(image_m, 3)
-    large = far_m - near_m > np.maximum(FLYING_SIGMAS * sigma_m, FLYING_STEP * np.abs(near_m))
-    flying = large & _between(image_m, near_m, far_m)
-    for axis in (0, 1):
-        if image_m.shape[axis] < 5:
-            continue
-        a, b, c, d, e, sigma = (
-            np.moveaxis(part, axis, 0)[k : image_m.shape[axis] - 4 + k]
-            for part, k in [(image_m, n) for n in range(5)] + [(sigma_m, 2)]
-        )
-        before, after = 2 * b - a, 2 * d - e
-        apart = np.minimum(np.abs(c - before), np.abs(c - after))
-        off = apart > np.maximum(FLYING_SIGMAS * np.sqrt(6.0) * sigma, LEAST_STEP_M)
-        between = _between(c, np.minimum(before, after), np.maximum(before, after))
-        np.moveaxis(flying, axis, 0)[2:-2] |= off & between
-    return flying
-
-
-def _between(image: Array, low: Array, high: Array) -> Mask:
-    return np.asarray(np.minimum(image - low, high - image) >= FLYING_SHARE * (high - low))
