@@ -755,6 +755,33 @@ def test_of_a_telescope_the_science_counts_not_its_error(tmp_path: Path) -> None
     np.testing.assert_array_equal(load_image_stack(tmp_path / "sci.fts").amplitude, frames)
 
 
+@pytest.mark.parametrize(
+    ("frame_names", "other_names"),
+    [
+        (["PRIMARY"], ["MASK", "UNCERT"]),  # of CCDData
+        (["PRIMARY"], ["WEIGHT"]),
+        (["DATA"], ["STAT", "DQ"]),
+        (["IMAGE"], ["MASK", "VARIANCE"]),
+        ([f"EXP{n}" for n in range(4)], ["BPM1", "BPM2"]),
+    ],
+)
+def test_masks_and_errors_beside_the_frames_of_a_fits_file_are_none(
+    tmp_path: Path, frame_names: list[str], other_names: list[str]
+) -> None:
+    fits = pytest.importorskip("astropy.io.fits")
+    frames = frames_of("f4")
+    parts = list(frames) if len(frame_names) > 1 else [frames]
+    pages = [fits.ImageHDU(one, name=name) for one, name in zip(parts, frame_names, strict=True)]
+    first = fits.PrimaryHDU()
+    if frame_names == ["PRIMARY"]:
+        first, pages = fits.PrimaryHDU(frames), []
+    pages += [fits.ImageHDU(np.ones_like(parts[0]), name=name) for name in other_names]
+    fits.HDUList([first, *pages]).writeto(tmp_path / "a.fits")
+    with pytest.warns(QualityWarning, match=f"images {', '.join(other_names)}; write NaN"):
+        amplitude = load(tmp_path / "a.fits")
+    np.testing.assert_array_equal(amplitude, frames)
+
+
 def test_fits_of_our_own_and_wrong_ones(tmp_path: Path) -> None:
     fits = pytest.importorskip("astropy.io.fits")
     burst = Burst.from_arrays(frames_of("f4"), 1 + frames_of("f4"), offset_px=OFFSETS, pitch_mm=0.1)

@@ -64,12 +64,22 @@ def _unpacked(raw: BinaryIO, file_bytes: int) -> BytesIO:
     return whole
 
 
-def images_of(pages: Any) -> list[Any]:
-    """Return the pages of a FITS file that are frames."""
+def images_of(pages: Any) -> tuple[list[Any], list[str]]:
+    """Return the pages of a FITS file that are frames, and the names of other images in it.
+
+    Frames are those named AMPLITUDE or SCI, else the first image and those that are named like it,
+    but for numbers: masks, errors and weights beside them have names of their own (of CCDData
+    MASK and UNCERT, of others VAR, WEIGHT, IVAR, STAT, DQ ...).
+    """
     images = [page for page in pages if page.is_image and page.shape]
     for name in _USED:
-        images = [page for page in images if page.name == name] or images
-    return images
+        if used := [page for page in images if page.name == name]:
+            return used, []
+    roles = ["" if page.name == "PRIMARY" else page.name.strip("0123456789_- ") for page in images]
+    alike = [role == roles[0] for role in roles]
+    frames = [page for page, like in zip(images, alike, strict=True) if like]
+    others = [page.name for page, like in zip(images, alike, strict=True) if not like]
+    return frames, others
 
 
 def wcs_cards(path: Path) -> dict[str, Any]:
@@ -79,7 +89,7 @@ def wcs_cards(path: Path) -> dict[str, Any]:
 
     with quiet_astropy(), opened_fits(path) as pages:
         try:
-            header = images_of(pages)[0].header
+            header = images_of(pages)[0][0].header
             told = str(header.get("CTYPE1", "")).strip()
             return dict(WCS(header, naxis=2).to_header(relax=True)) if told else {}
         except (ValueError, LookupError, TypeError, fits.VerifyError) as error:

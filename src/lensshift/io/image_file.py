@@ -61,9 +61,9 @@ def load_frames(path: str | Path, *, colours: bool = False) -> NDArray[Any]:
 
     Integers stay integers. Colour images are taken only if their channels are equal; with
     `colours` those of a TIFF are the last axis, as where they are frames. Of a FITS file
-    (.fits.gz and .fits.fz too): the extensions AMPLITUDE or SCI, else all images, if they have one
-    size. DataError if the file is missing, damaged, of another kind or not greyscale. ImportError
-    if a FITS file is asked for and astropy is not installed.
+    (.fits.gz and .fits.fz too): the extensions AMPLITUDE or SCI, else the first image and those
+    named like it, if they have one size. DataError if the file is missing, damaged, of another kind
+    or not greyscale. ImportError if a FITS file is asked for and astropy is not installed.
     """
     require_file(path)
     suffix = image_suffix(path)
@@ -144,13 +144,19 @@ def _load_fits(path: str | Path) -> NDArray[Any]:
         warnings.filterwarnings("error", ".*truncated")
         with opened_fits(Path(path)) as file:
             try:
-                return _fits_images(file, Path(path).stat().st_size)
+                images, others = images_of(file)
+                frames = _fits_frames(images, Path(path).stat().st_size)
             except fits.VerifyError as error:  # no kin of any other
                 raise DataError(f"damaged: {error!s:.200}") from error
+    if others:
+        warn_quality(
+            f"{path}: nothing is done with the images {', '.join(others):.200}; write NaN into "
+            "pixels that do not count, and name frames like the first (FRAME1, FRAME2 ...)"
+        )
+    return frames
 
 
-def _fits_images(pages: Any, file_bytes: int) -> NDArray[Any]:
-    images = images_of(pages)
+def _fits_frames(images: list[Any], file_bytes: int) -> NDArray[Any]:
     sizes = {page.shape[-2:] for page in images}
     stacks = all(len(page.shape) > 1 and _one_stack(page.shape) for page in images)
     if len(sizes) != 1 or not stacks:
