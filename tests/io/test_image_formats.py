@@ -101,18 +101,23 @@ def test_fits_says_where_pixels_look(result: Reconstruction, tmp_path: Path) -> 
         assert pages["AMPLITUDE"].data.shape == (4, 9, 13)
 
 
-@pytest.mark.parametrize("bent", [False, True])
-def test_the_sky_of_a_fits_file_is_that_of_its_result(tmp_path: Path, bent: bool) -> None:
+@pytest.mark.parametrize("bent", ["", "SIP", "TPV"])
+def test_the_sky_of_a_fits_file_is_that_of_its_result(tmp_path: Path, bent: str) -> None:
     fits, wcs = pytest.importorskip("astropy.io.fits"), pytest.importorskip("astropy.wcs")
     sky = wcs.WCS(naxis=2)
-    sky.wcs.ctype = ["RA---TAN-SIP", "DEC--TAN-SIP"] if bent else ["RA---TAN", "DEC--TAN"]
+    sky.wcs.ctype = ["RA---TAN-SIP", "DEC--TAN-SIP"] if bent == "SIP" else ["RA---TAN", "DEC--TAN"]
     sky.wcs.crpix, sky.wcs.crval = (5.5, 4.25), (83.8, -5.4)
     sky.wcs.cd = [[-1e-3, 2e-4], [2e-4, 1e-3]]
-    if bent:
+    if bent == "SIP":
         a, b = np.zeros((3, 3)), np.zeros((3, 3))
         a[2, 0], b[1, 1] = 1e-3, -2e-3
         sky.sip = wcs.Sip(a, b, None, None, sky.wcs.crpix)
-    page = fits.PrimaryHDU(a_burst().amplitude, sky.to_header(relax=True))
+    header = sky.to_header(relax=True)
+    if bent == "TPV":
+        cards = {"CTYPE1": "RA---TPV", "CTYPE2": "DEC--TPV", "PV1_1": 1.0, "PV2_1": 1.0}
+        header.update(cards | {"PV1_4": 3.0, "PV2_5": -2.0})
+        sky = wcs.WCS(header)
+    page = fits.PrimaryHDU(a_burst().amplitude, header)
     page.writeto(tmp_path / "sky.fits")
     offset_px = a_burst().offset_px + np.array([0.25, -0.25])
     burst = load_image_stack(tmp_path / "sky.fits", offset_px)

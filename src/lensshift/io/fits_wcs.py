@@ -121,6 +121,8 @@ def _moved(cards: Mapping[str, Any] | None, offset_px: Any, scale: int) -> Heade
         first = told.wcs.crpix - 1.0 - np.asarray(offset_px)[::-1]
         told.wcs.crpix = lr_to_hr(first, scale) + 1.0
         step = "cd" if told.wcs.has_cd() else "cdelt"
+        if str(cards.get("CTYPE1")).endswith("TPV"):  # whose polynomials are between PC and CDELT
+            step = "pc"
         setattr(told.wcs, step, getattr(told.wcs, step) / scale)
         if told.sip is not None:  # polynomials of the distance from there
             bent = [getattr(told.sip, name) for name in ("a", "b", "ap", "bp")]
