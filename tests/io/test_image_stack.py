@@ -78,6 +78,50 @@ def test_frames_that_tifffile_was_told_nothing_about(
     np.testing.assert_array_equal(amplitude, frames)
 
 
+def packed_hyperstack(path: Path, pages: np.ndarray, *, channels: int) -> None:
+    """Write pages [page row col] packed by LZW, with the axes of ImageJ."""
+    told = f"ImageJ=1.53t\nimages={len(pages)}\nchannels={channels}\n"
+    told += f"frames={len(pages) // channels}\nhyperstack=true\nmode=grayscale\n"
+    first, *rest = (Image.fromarray(page) for page in pages)
+    options = {"compression": "tiff_lzw", "tiffinfo": {270: told}}
+    first.save(path, save_all=True, append_images=rest, **options)
+
+
+def test_channels_of_packed_pages_are_no_frames(tmp_path: Path) -> None:
+    frames = frames_of("u2")
+    packed_hyperstack(tmp_path / "one.tif", frames, channels=1)
+    np.testing.assert_array_equal(load(tmp_path / "one.tif"), frames)
+    packed_hyperstack(tmp_path / "two.tif", np.concatenate([frames, frames]), channels=2)
+    assert "axes TCYX (4, 2, 5, 7); save one channel" in message_of(tmp_path / "two.tif")
+
+
+def test_ome_tiffs_of_a_set_hold_each_frame_once(tmp_path: Path) -> None:
+    """Each file names all, and tifffile reads them all from any."""
+    frames = frames_of("u2")
+    count, rows, cols = frames.shape
+    parts = "".join(
+        f'<TiffData FirstT="{k}" IFD="0" PlaneCount="1"><UUID FileName="{k}.ome.tif">urn:uuid:'
+        f"00000000-0000-4000-8000-00000000000{k}</UUID></TiffData>"
+        for k in range(count)
+    )
+    for k, frame in enumerate(frames):
+        told = (
+            '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" '
+            f'UUID="urn:uuid:00000000-0000-4000-8000-00000000000{k}"><Image ID="Image:0">'
+            f'<Pixels ID="Pixels:0" DimensionOrder="XYCZT" Type="uint16" SizeX="{cols}" '
+            f'SizeY="{rows}" SizeC="1" SizeZ="1" SizeT="{count}" PhysicalSizeX="0.065" '
+            f'PhysicalSizeY="0.065"><Channel ID="Channel:0:0"/>{parts}</Pixels></Image></OME>'
+        )
+        path = tmp_path / f"{k}.ome.tif"
+        tifffile.imwrite(path, frame, description=told.encode(), metadata=None)
+    for source in (tmp_path, tmp_path / "2.ome.tif"):
+        np.testing.assert_array_equal(load(source), frames)
+    (tmp_path / "1.ome.tif").unlink()
+    assert "1 of its 4 pages are in files that are not beside it" in message_of(
+        tmp_path / "2.ome.tif"
+    )
+
+
 @pytest.mark.parametrize("last", [3, 4])
 def test_tiff_of_a_narrow_sensor_is_not_colour(tmp_path: Path, last: int) -> None:
     frames = frames_of("f4", (4, 5, last))

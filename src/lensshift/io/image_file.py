@@ -56,11 +56,12 @@ def image_suffix(path: str | Path) -> str:
     return inner if packed else path.suffix.lower()
 
 
-def load_frames(path: str | Path, *, colours: bool = False) -> NDArray[Any]:
+def load_frames(path: str | Path, *, colours: bool = False, alone: bool = False) -> NDArray[Any]:
     """Read the frames of an image file, [frame row col] or, for NPY, whatever is in it.
 
     Integers stay integers. Colour images are taken only if their channels are equal; with
-    `colours` those of a TIFF are the last axis, as where they are frames. Of a FITS file
+    `colours` those of a TIFF are the last axis, as where they are frames; `alone` leaves out what
+    lies in other files of a set of OME-TIFFs, which one of them names. Of a FITS file
     (.fits.gz and .fits.fz too): the extensions AMPLITUDE or SCI, else the first image and those
     named like it, if they have one size. DataError if the file is missing, damaged, of another kind
     or not greyscale. ImportError if a FITS file is asked for and astropy is not installed.
@@ -68,7 +69,7 @@ def load_frames(path: str | Path, *, colours: bool = False) -> NDArray[Any]:
     require_file(path)
     suffix = image_suffix(path)
     loaders: dict[str, Callable[[str | Path], NDArray[Any]]] = {".npy": _load_npy}
-    loaders |= dict.fromkeys(TIFF_SUFFIXES, partial(_load_tiff, colours=colours))
+    loaders |= dict.fromkeys(TIFF_SUFFIXES, partial(_load_tiff, colours=colours, alone=alone))
     loaders |= dict.fromkeys(_PILLOW_SUFFIXES, _load_pillow)
     loaders |= dict.fromkeys(FITS_SUFFIXES, _load_fits)
     if suffix in JPEG_SUFFIXES:
@@ -181,10 +182,10 @@ def _check_signature(path: str | Path, signature: bytes, kind: str) -> None:
             raise DataError(f"not {kind}")
 
 
-def _load_tiff(path: str | Path, *, colours: bool = False) -> NDArray[Any]:
+def _load_tiff(path: str | Path, *, colours: bool = False, alone: bool = False) -> NDArray[Any]:
     import tifffile
 
-    with strict_tifffile(), tifffile.TiffFile(path) as file:
+    with strict_tifffile(), tifffile.TiffFile(path, _multifile=not alone) as file:
         series = file.series
         if not series:
             raise DataError("damaged or cut short: there is no page in it")
@@ -195,9 +196,11 @@ def _load_tiff(path: str | Path, *, colours: bool = False) -> NDArray[Any]:
         page, told = file.pages.first, file.ome_metadata or ""
         if page.photometric not in (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.RGB):
             raise DataError(f"expected a grey scale with black at 0; {_ADVICE}")
+        ours = "<Channel" in told and 'Name="amplitude"' in told
         floats_apart = page.predictor == tifffile.PREDICTOR.FLOATINGPOINT
         if page.compression not in TIFFFILE_COMPRESSIONS or floats_apart:
-            return _compressed(path, page)
+            frames = _compressed(path, page)
+            return frames if len(series) > 1 else _along_axes(frames, series[0], ours=ours)
         size = Path(path).stat().st_size
         claimed = sum(one.nbytes for one in series)
         check_held((len(series), *series[0].shape), claimed, size, "pages")
@@ -206,7 +209,7 @@ def _load_tiff(path: str | Path, *, colours: bool = False) -> NDArray[Any]:
             return np.concatenate([_pages(one) for one in series])
         if colours and series[0].axes == "YXS":
             return series[0].asarray()
-        return _pages(series[0], ours="<Channel" in told and 'Name="amplitude"' in told)
+        return _pages(series[0], ours=ours)
 
 
 def _compressed(path: str | Path, page: Any) -> NDArray[Any]:
@@ -225,23 +228,40 @@ def _compressed(path: str | Path, page: Any) -> NDArray[Any]:
     return frames.astype(page.dtype) if frames.dtype.kind in "iu" else frames
 
 
+def _along_axes(pages: NDArray[Any], series: Any, *, ours: bool) -> NDArray[Any]:
+    """Return the frames of grey pages [page row col] along the axes that a series gives them."""
+    axes = series.axes.replace("S", "")
+    shape = [count for count, axis in zip(series.shape, series.axes, strict=True) if axis != "S"]
+    if pages.size != math.prod(shape):
+        raise DataError(f"expected pages of {tuple(shape)} ({axes}), got {pages.shape}")
+    return _one_stack_of(pages.reshape(shape), axes, ours=ours)
+
+
 def _pages(series: Any, *, ours: bool = False) -> NDArray[Any]:
     """Return the frames [frame row col] of a series of pages; of our exports the amplitude."""
+    if series.kind == "ome" and (missing := sum(page is None for page in series.pages)):
+        raise DataError(
+            f"{missing} of its {len(series.pages)} pages are in files that are not beside it"
+        )
     values = series.asarray()
-    if ours and "C" in series.axes:  # beside it lie distance, deviations ...
-        values = values.take(0, axis=series.axes.index("C"))
     if "S" in series.axes and not _are_frames(series, values):
         one = series.axes == "YXS"
         cure = ", or say --frame-axis last if its channels are frames" if one else ""
         values = _grey(np.moveaxis(values, series.axes.index("S"), -1), cure)
+    return _one_stack_of(values, series.axes, ours=ours)
+
+
+def _one_stack_of(values: NDArray[Any], axes: str, *, ours: bool) -> NDArray[Any]:
+    if ours and "C" in axes:  # beside it lie distance, deviations ...
+        values = values.take(0, axis=axes.index("C"))
     if values.ndim < 2:
         raise DataError(f"expected [row col] or [frame row col], got shape {values.shape}")
-    frames: NDArray[Any] = values.reshape(-1, *values.shape[-2:])
     if not _one_stack(values.shape):
         raise DataError(
-            f"expected one stack of frames, got axes {series.axes} {values.shape}; "
+            f"expected one stack of frames, got axes {axes} {values.shape}; "
             "save one channel or depth of it"
         )
+    frames: NDArray[Any] = values.reshape(-1, *values.shape[-2:])
     return frames
 
 

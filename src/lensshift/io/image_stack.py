@@ -143,7 +143,7 @@ def _concatenate(paths: list[Path]) -> NDArray[Any]:
         raise DataError("expected at least one image file, got none")
     stacks: list[NDArray[Any]] = []
     for path in paths:
-        frames = image_file.load_frames(path)
+        frames = image_file.load_frames(path, alone=True)
         frames = frames[np.newaxis] if frames.ndim == 2 else frames
         expected = stacks[0] if stacks else frames
         if frames.ndim != 3 or frames.shape[1:] != expected.shape[1:]:
