@@ -21,6 +21,7 @@ from lensshift.evaluation.slanted_edge import EdgeResult, Region, measure_edge
 from lensshift.evaluation.zone_plate import zone_plate_response
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import led_band
+from lensshift.report.claims import gains_figure
 from lensshift.report.cloud import cloud_figure
 from lensshift.report.depth import depth_figure
 from lensshift.report.edges import edge_figure, gain_figure
@@ -39,6 +40,7 @@ from lensshift.report.lens_maps import (
     spots_figure,
 )
 from lensshift.report.lenses import layout_figure, mtf_figure, which_figure
+from lensshift.report.shots import shots_figure
 from lensshift.report.stars import star_figure, zone_plate_figure
 
 GRID = Grid((5, 17), (0.5, 0.6))
@@ -138,3 +140,20 @@ MORE_FIGURES: dict[str, Callable[[], Figure]] = {
 )
 def test_a_figure_is_well_drawn(name: str) -> None:
     assert_well_drawn((FIGURES | MORE_FIGURES)[name]())
+
+
+@pytest.mark.parametrize("count", [1, 4, 9])
+@pytest.mark.parametrize("shape", [(16, 64), (40, 56), (64, 16)])
+@pytest.mark.parametrize("channels", [("amplitude",), ("amplitude", "distance")])
+def test_scales_of_many_images_are_not_cut_off(
+    shape: tuple[int, int], count: int, channels: tuple[str, ...]
+) -> None:
+    image = np.random.default_rng(2).normal(size=shape) + 5.0
+    shown = {f"method {n}": dict.fromkeys(channels, image) for n in range(count)}
+    assert_well_drawn(shots_figure(shown, "all of them", wide_in=8.0))
+
+
+def test_means_of_large_gains_are_on_the_axis() -> None:
+    gain = {"mean": 7.5, "interval": (5.0, 10.0), "least": 1.0, "most": 30.0}
+    row = {"contrast": 0.15, "width_px": 1.0, "snr": 400.0, "phasor": gain}
+    assert gains_figure([row], ("phasor",), "gains").axes[0].get_xlim()[1] > 7.5

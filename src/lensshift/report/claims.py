@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from lensshift.report.style import COLOURS, GREY, INK, SMALL_PT, colour_of, new_figure, styled
 
 _DASHES = ("-", "--", ":", "-.")
-_MOST_GAIN = 6.0  # on the axis: twice the largest claim
+_MOST_GAIN = 6.0  # on the axis: twice the largest claim, unless a mean is larger
 
 
 @styled()
@@ -129,7 +129,8 @@ def gains_figure(rows: Sequence[Mapping[str, Any]], branches: Sequence[str], tit
     axes.invert_yaxis()
     axes.axvline(2.0, color=GREY, linewidth=0.9)
     axes.axvline(3.0, color=INK, linewidth=0.9, linestyle="--")
-    axes.set_xlim(0.0, _MOST_GAIN)
+    largest = max(row[branch]["mean"] for row in rows for branch in branches)
+    axes.set_xlim(0.0, max(_MOST_GAIN, 1.1 * largest))
     axes.set_xlabel("gradient against one frame (thick: 95 % of the mean; thin: single lines)")
     place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0)}
     axes.legend(**place, ncols=len(branches), fontsize=SMALL_PT)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -9,6 +11,7 @@ from lensshift.io.picture_layers import COLOURS
 from lensshift.report.preview import Shots, channel_range
 from lensshift.report.style import SMALL_PT, new_figure, styled
 
+_PAD_IN = 0.1  # between the images and the bar
 _UNITS = {"amplitude": "amplitude", "distance": "distance (m)"}
 
 
@@ -48,7 +51,9 @@ def shots_figure(shown: Shots, title: str = "", *, wide_in: float = 11.0) -> Fig
             axes.set_title(label, fontsize=SMALL_PT)
         if drawn is not None:
             where, column = "right" if beside else "bottom", list(panels[:, number])
-            bar = figure.colorbar(drawn, ax=column, location=where, shrink=0.6, aspect=40)
+            pad = _PAD_IN / figure.get_size_inches()[0 if beside else 1]  # else of the whole height
+            how: dict[str, Any] = {"location": where, "shrink": 0.6, "aspect": 40, "pad": pad}
+            bar = figure.colorbar(drawn, ax=column, **how)
             bar.set_label(_UNITS[channel])
     figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
     return figure
