@@ -889,6 +889,13 @@ def test_what_a_masked_array_hides_is_not_valid() -> None:
     both = Burst.from_arrays(masked, np.ma.masked_less(1 + frames, 50.0))
     np.testing.assert_array_equal(both.valid, (frames <= 200) & (1 + frames >= 50))
     assert Burst.from_arrays(masked, valid=frames < 100).valid.sum() == (frames < 100).sum()
+    told = Burst.from_arrays(np.ma.masked_greater(frames, 200), valid=frames > 50)
+    np.testing.assert_array_equal(told.valid, (frames > 50) & (frames <= 200))
+    sensor = np.arange(frames[0].size).reshape(frames[0].shape) > 3
+    told = Burst.from_arrays(np.ma.masked_greater(frames, 200), valid=sensor)
+    np.testing.assert_array_equal(told.valid, sensor & (frames <= 200))
+    with pytest.raises(DataError, match="valid: expected shape"):
+        Burst.from_arrays(np.ma.masked_greater(frames, 200), valid=sensor[:2])
 
 
 def test_arrays_are_told_what_makes_a_burst_of_them(tmp_path: Path) -> None:

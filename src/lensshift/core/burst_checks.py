@@ -57,10 +57,13 @@ def cure_of_axes(shape: tuple[int, ...]) -> str:
     return cure
 
 
-def unmasked(*arrays: ArrayLike | None) -> Mask | None:
-    """Return where no array of `numpy.ma` is masked, or None if none of them is such an array."""
+def unmasked(valid: ArrayLike | None, *arrays: ArrayLike | None) -> ArrayLike | None:
+    """Return `valid` but False where an array of `numpy.ma` is masked; None if nothing is told."""
     masks = [~np.ma.getmaskarray(one) for one in arrays if isinstance(one, np.ma.MaskedArray)]
-    return np.logical_and.reduce(masks) if masks else None
+    if not masks:
+        return valid
+    seen: Mask = np.logical_and.reduce(masks)
+    return seen if valid is None else as_valid(np.asarray(valid), seen) & seen
 
 
 def all_valid() -> Mask:

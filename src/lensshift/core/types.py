@@ -167,7 +167,7 @@ class Burst(Shown, AsDataset, AsTable):
         QualityWarning
             If pitch, frequency or distances can hardly be in mm, Hz and m, or stand for none.
         """
-        valid = checks.unmasked(amplitude, distance_m) if valid is None else valid
+        valid = checks.unmasked(valid, amplitude, distance_m)
         given = checks.as_array(amplitude, "amplitude")
         frequencies = checks.as_frequencies(modulation_hz)
         if given.ndim == 4 and given.dtype.kind == "c":
