@@ -51,3 +51,9 @@ def test_help_loads_typer_alone() -> None:
     assert "typer" in packages
     assert packages <= LIGHT | OF_THE_TEST_RUN
     assert count < MOST_AFTER_HELP
+
+
+def test_folders_are_there_without_another_import() -> None:
+    told = "import lensshift\nprint(lensshift.io.napari_layers.__name__, lensshift.report.__name__)"
+    done = subprocess.run([sys.executable, "-c", told], check=True, capture_output=True, text=True)
+    assert done.stdout.split() == ["napari_layers", "lensshift.report"]

@@ -123,12 +123,18 @@ _NAMES = {
     "reconstruction.stream": "Stream stream",
     "registration": "calibrate register",
 }
+_PARTS = {  # `lensshift.io.export_burst` without another import
+    "camera", "capture", "core", "evaluation", "forward", "io", "optics", "pipeline",
+    "reconstruction", "registration", "report", "scene",
+}  # fmt: skip
 _HOME = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 __all__ = sorted([*_HOME, "__version__"])
 
 
 def __getattr__(name: str) -> Any:
+    if name in _PARTS:
+        return import_module(f"lensshift.{name}")
     if name not in _HOME:
         raise AttributeError(f"module 'lensshift' has no attribute {name!r}")
     value = getattr(import_module(f"lensshift.{_HOME[name]}"), name)
