@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from lensshift import Burst
 from lensshift.cli.session import _EXTRAS
 from lensshift.report.preview import _coloured, _save_plain
 
@@ -41,13 +42,14 @@ def without_extras(folder: Path, *calls: list[str]) -> list[tuple[int, str]]:
 
 def test_the_main_commands_need_no_extra(tmp_path: Path) -> None:
     config = str(ROOT / "examples" / "four_boxes.toml")
-    ran, again, star, measured, blurred = without_extras(
+    ran, again, star, measured, blurred, late = without_extras(
         tmp_path,
         ["run", config, "--out", "out", "--method", "tikhonov"],
         ["reconstruct", "out/burst.nc", "-o", "sharp.nc", "--method", "bicubic"],
         ["simulate", "siemens_star", "-o", "star.nc"],
         ["evaluate", "star", "star.nc", "--cycles", "12", "--plot", "star.png"],
         ["reconstruct", "out/burst.nc", "--method", "deconvolution", "-o", "blurred.nc"],
+        ["reconstruct", "out/burst.nc", "-o", "late.nc", "--export", "sky.fits"],
     )
     assert ran[0] == again[0] == star[0] == 0, (ran, again, star)
     for name in ("out/preview.png", "sharp_preview.png"):
@@ -56,6 +58,14 @@ def test_the_main_commands_need_no_extra(tmp_path: Path) -> None:
     assert measured[0] == blurred[0] == 1
     assert "pip install 'lensshift[plot]'" in measured[1]
     assert "pip install 'lensshift[deconvolution]'" in blurred[1]
+    assert "pip install 'lensshift[fits]'" in late[1]
+    assert not (tmp_path / "late.nc").exists()  # said before the work
+
+
+def test_a_plot_says_what_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(ImportError, match=r"pip install 'lensshift\[plot\]'"):
+        Burst.from_arrays(np.ones((2, 5, 7))).plot()
 
 
 def test_every_cure_names_an_extra_with_that_package() -> None:

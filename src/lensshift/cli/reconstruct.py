@@ -28,7 +28,7 @@ _WIDTH_SOURCES = {
     "frames": "read from the frames",
     "assumed": "assumed: --psf-sigma-px or --calibration may know better",
 }
-EXPORT_SUFFIXES = (".tif", ".tiff", ".fits", ".fit", ".png", ".npz", *CLOUD_SUFFIXES)
+EXPORT_SUFFIXES = (".tif", ".tiff", ".fits", ".fit", ".fts", ".png", ".npz", *CLOUD_SUFFIXES)
 
 
 def width_px(text: str) -> float | None:
@@ -299,6 +299,9 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
 
 def _plan(asked: ReconstructOptions) -> list[Path]:
     """Decide all names, and complain before the work rather than after it."""
+    from lensshift.io.export import is_fits
+    from lensshift.io.fits_wcs import astropy_fits
+
     result = asked.out or inputs.beside(asked.burst, f"_x{asked.scale}.nc")
     other, exports = result.suffix.lower() in EXPORT_SUFFIXES, asked.export or []
     cure = f"; use --export for {result.suffix}" if other else ""
@@ -308,6 +311,8 @@ def _plan(asked: ReconstructOptions) -> list[Path]:
             raise typer.BadParameter(
                 f"{path}: expected a name that ends in {', '.join(EXPORT_SUFFIXES)}"
             )
+        if is_fits(path):
+            astropy_fits()  # or say what to install
     files = [result, result.with_name(f"{result.stem}_preview.png"), *exports]
     inputs.check_files((asked.burst, asked.stack.offsets), files)
     return files

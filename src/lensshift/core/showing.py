@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lensshift.core.errors import of_extra
 from lensshift.core.grid import Grid
 
 if TYPE_CHECKING:
@@ -40,7 +41,14 @@ class Shown:
         return str(_above("page_of")(self))
 
     def plot(self) -> Figure:
-        """Return a matplotlib figure of this value; `figure.savefig` writes it."""
+        """Return a matplotlib figure of this value; `figure.savefig` writes it.
+
+        Raises
+        ------
+        ImportError
+            If matplotlib is not installed.
+        """
+        of_extra("matplotlib", "plot needs matplotlib: pip install 'lensshift[plot]'")
         figure: Figure = _above("figure_of")(self)
         return figure
 
