@@ -775,6 +775,27 @@ def test_jpegs_bitmaps_and_palettes_are_frames(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_image_stack(tmp_path / "palette.png").amplitude[0], levels)
 
 
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["amp_0", "amp_1", "depth_0", "depth_1"], True),
+        (["0_depth", "0_amp", "1_depth", "1_amp"], True),
+        (["frame_2", "frame_10", "frame_3", "frame_4"], False),
+        (["left", "right", "up", "down"], False),
+        (["a_1", "a_2", "b_3", "b_4"], False),
+    ],
+)
+def test_a_folder_of_two_kinds_of_images_is_questioned(
+    tmp_path: Path, names: list[str], said: bool
+) -> None:
+    for name, frame in zip(names, frames_of("u2"), strict=True):
+        Image.fromarray(frame).save(tmp_path / f"{name}.png")
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        assert load(tmp_path).shape == SHAPE
+    assert ["have the same numbers" in str(one.message) for one in found] == [True] * said
+
+
 def test_gzipped_fits_is_bounded_named_and_sorted_as_others(tmp_path: Path) -> None:
     fits = pytest.importorskip("astropy.io.fits")
     frames, sky = frames_of("f4"), fits.Header({"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN"})

@@ -135,7 +135,25 @@ def _images_in(folder: Path) -> list[Path]:
         parts = re.findall(r"([0-9]+)|([^0-9]+)", path.name)
         return [(not digits, int(digits or 0), text) for digits, text in parts]
 
-    return sorted(images, key=natural)
+    images = sorted(images, key=natural)
+    _warn_of_series(folder, images)
+    return images
+
+
+def _warn_of_series(folder: Path, images: list[Path]) -> None:
+    """Warn of images that share their numbers, as amp_0, amp_1, depth_0 and depth_1."""
+    numbers: dict[str, list[str]] = {}
+    for path in images:
+        name = re.sub("[0-9]+", "#", path.name)
+        numbers.setdefault(name, []).append("-".join(re.findall("[0-9]+", path.name)))
+    first, *others = numbers.values()
+    if len(first) > 1 and others and all(each == first for each in others):
+        warn_quality(
+            f"{folder}: all {len(images)} images are taken for frames of one kind, though "
+            f"{' and '.join(numbers)} have the same numbers; if they are not (distances beside "
+            "amplitudes, errors), keep each kind in a folder, or make arrays of them: "
+            "Burst.from_arrays(amplitude, distance_m)"
+        )
 
 
 def _concatenate(paths: list[Path]) -> NDArray[Any]:
