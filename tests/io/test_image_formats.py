@@ -187,3 +187,21 @@ def test_open3d_gets_float32(result: Reconstruction) -> None:
     assert all(one.dtype == np.float32 and len(one) == len(cloud) for one in arrays.values())
     assert arrays["std"].shape == (len(cloud), 1)
     np.testing.assert_allclose(arrays["positions"], cloud.point_m, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", ["u2", "f4"])
+@pytest.mark.parametrize("with_distance", [False, True])
+@pytest.mark.parametrize("name", ["a.ome.tif", "a.fits", "a.npz"])
+def test_pixels_that_do_not_count_come_back_as_such(
+    tmp_path: Path, name: str, with_distance: bool, dtype: str
+) -> None:
+    if name.endswith("fits"):
+        pytest.importorskip("astropy.io.fits")
+    rng = np.random.default_rng(6)
+    frames = rng.integers(0, 4000, (4, 9, 13)).astype(dtype)
+    valid = rng.random(frames.shape) > 0.1
+    distance_m = 1.0 + rng.random(frames.shape) if with_distance else None
+    export_burst(Burst.from_arrays(frames, distance_m, valid=valid), tmp_path / name)
+    found = load_image_stack(tmp_path / name)
+    np.testing.assert_array_equal(found.valid, valid)
+    np.testing.assert_array_equal(found.amplitude[valid], frames[valid])

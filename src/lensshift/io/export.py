@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,7 +16,7 @@ from lensshift.io.container_writer import to_json
 from lensshift.io.fits_wcs import astropy_fits, told_wcs
 from lensshift.io.image_file import FITS_SUFFIXES, SOFTWARE, TIFF_SUFFIXES
 from lensshift.io.intrinsics_fields import intrinsics_fields
-from lensshift.io.picture_layers import picture_layers
+from lensshift.io.picture_layers import PictureLayer, picture_layers
 from lensshift.io.point_cloud_file import CLOUD_SUFFIXES, save_point_cloud, write_npz
 
 if TYPE_CHECKING:
@@ -105,7 +106,8 @@ def export_burst(burst: Burst, path: str | Path) -> None:
     """Write a burst as NPZ (every field, readable by `load_image_stack`) or TIFF (amplitude).
 
     In NPZ phasors of several frequencies stand for the amplitude, as `Burst.from_arrays` takes it.
-    OME-TIFF (`.ome.tif`) and FITS hold amplitude and distance.
+    OME-TIFF (`.ome.tif`) and FITS hold amplitude and distance, with NaN where pixels are not valid;
+    TIFF keeps their numbers and says nothing of `valid`.
 
     Raises
     ------
@@ -237,6 +239,18 @@ def is_fits(path: str | Path) -> bool:
     return Path(path).suffix.lower() in FITS_SUFFIXES
 
 
+def _layers(value: Burst | Reconstruction) -> list[PictureLayer]:
+    """Return the images of a burst or a result, those of a burst with NaN where it is not valid."""
+    layers = picture_layers(value)
+    if isinstance(value, Reconstruction) or value.valid.all():
+        return layers
+    nan = np.float32(np.nan)
+    return [
+        one if one.name == "valid" else replace(one, values=np.where(value.valid, one.values, nan))
+        for one in layers
+    ]
+
+
 def _tells_pitch(value: Burst | Reconstruction) -> bool:
     return value.grid.tells_pitch(value.scale if isinstance(value, Reconstruction) else 1)
 
@@ -245,7 +259,7 @@ def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
     """Write all images as float32 channels of an OME-TIFF, with names, and pixel size if told."""
     import tifffile
 
-    layers = picture_layers(value)
+    layers = _layers(value)
     stack = np.stack([one.values.astype(np.float32) for one in layers], axis=-3)
     told: dict[str, Any] = {
         "axes": "TCYX" if stack.ndim == 4 else "CYX",
@@ -278,7 +292,7 @@ def export_fits(value: Burst | Reconstruction, path: str | Path) -> None:
         first.header["METHOD"] = (value.method, "of the reconstruction")
         first.header["SCALE"] = (value.scale, "pixels per pixel of a frame, along an axis")
     pages = [first]
-    for one in picture_layers(value):
+    for one in _layers(value):
         values = one.values.astype(np.uint8) if one.values.dtype == np.bool_ else one.values
         page = fits.ImageHDU(values, name=one.name)
         if one.unit:
