@@ -818,6 +818,14 @@ def test_of_a_telescope_the_science_counts_not_its_error(tmp_path: Path) -> None
     pages = [fits.ImageHDU(frames[None], name="SCI"), fits.ImageHDU(frames, name="ERR")]
     fits.HDUList([fits.PrimaryHDU(), *pages]).writeto(tmp_path / "sci.fts")
     np.testing.assert_array_equal(load_image_stack(tmp_path / "sci.fts").amplitude, frames)
+    quality = np.zeros(frames[None].shape, "i2")
+    pages.append(fits.ImageHDU(quality, name="DQ"))
+    fits.HDUList([fits.PrimaryHDU(), *pages]).writeto(tmp_path / "good.fits")
+    np.testing.assert_array_equal(load_image_stack(tmp_path / "good.fits").amplitude, frames)
+    quality[0, 1, 2, 3] = 4  # of a pixel that the telescope calls bad
+    fits.HDUList([fits.PrimaryHDU(), *pages]).writeto(tmp_path / "bad.fits")
+    with pytest.warns(QualityWarning, match="nothing is done with the images DQ; write NaN"):
+        load_image_stack(tmp_path / "bad.fits")
 
 
 @pytest.mark.parametrize(

@@ -64,8 +64,8 @@ def _unpacked(raw: BinaryIO, file_bytes: int) -> BytesIO:
     return whole
 
 
-def images_of(pages: Any) -> tuple[list[Any], list[str]]:
-    """Return the pages of a FITS file that are frames, and the names of other images in it.
+def images_of(pages: Any) -> tuple[list[Any], list[Any]]:
+    """Return the pages of a FITS file that are frames, and other images that may say more of them.
 
     Frames are those named AMPLITUDE or SCI, else the first image and those that are named like it,
     but for numbers: masks, errors and weights beside them have names of their own (of CCDData
@@ -74,11 +74,11 @@ def images_of(pages: Any) -> tuple[list[Any], list[str]]:
     images = [page for page in pages if page.is_image and page.shape]
     for name in _USED:
         if used := [page for page in images if page.name == name]:
-            return used, []
+            return used, [page for page in images if page.name == "DQ"]
     roles = ["" if page.name == "PRIMARY" else page.name.strip("0123456789_- ") for page in images]
     alike = [role == roles[0] for role in roles]
     frames = [page for page, like in zip(images, alike, strict=True) if like]
-    others = [page.name for page, like in zip(images, alike, strict=True) if not like]
+    others = [page for page, like in zip(images, alike, strict=True) if not like]
     return frames, others
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, warn_quality
 from lensshift.io.container_reader import OTHERS, is_hdf5
-from lensshift.io.fits_wcs import astropy_fits, images_of, opened_fits, quiet_astropy
+from lensshift.io.fits_frames import load_fits, one_stack
 from lensshift.io.reading import (
     CONTAINER_SUFFIXES,
     RECORDING_SUFFIXES,
@@ -71,7 +71,7 @@ def load_frames(path: str | Path, *, colours: bool = False, alone: bool = False)
     loaders: dict[str, Callable[[str | Path], NDArray[Any]]] = {".npy": _load_npy}
     loaders |= dict.fromkeys(TIFF_SUFFIXES, partial(_load_tiff, colours=colours, alone=alone))
     loaders |= dict.fromkeys(_PILLOW_SUFFIXES, _load_pillow)
-    loaders |= dict.fromkeys(FITS_SUFFIXES, _load_fits)
+    loaders |= dict.fromkeys(FITS_SUFFIXES, load_fits)
     if suffix in JPEG_SUFFIXES:
         lossy = (
             "levels of a JPEG are rounded in blocks and rarely light; take PNG or TIFF if you can"
@@ -137,43 +137,6 @@ def _load_npy(path: str | Path) -> NDArray[Any]:
         raise DataError("expected numbers, got Python objects; save one array of them") from error
     check_unpacked(values.nbytes, Path(path).stat().st_size, "")
     return np.array(values)
-
-
-def _load_fits(path: str | Path) -> NDArray[Any]:
-    fits = astropy_fits()
-    with quiet_astropy():
-        warnings.filterwarnings("error", ".*truncated")
-        with opened_fits(Path(path)) as file:
-            try:
-                images, others = images_of(file)
-                frames = _fits_frames(images, Path(path).stat().st_size)
-            except fits.VerifyError as error:  # no kin of any other
-                raise DataError(f"damaged: {error!s:.200}") from error
-    if others:
-        warn_quality(
-            f"{path}: nothing is done with the images {', '.join(others):.200}; write NaN into "
-            "pixels that do not count, and name frames like the first (FRAME1, FRAME2 ...)"
-        )
-    return frames
-
-
-def _fits_frames(images: list[Any], file_bytes: int) -> NDArray[Any]:
-    sizes = {page.shape[-2:] for page in images}
-    stacks = all(len(page.shape) > 1 and _one_stack(page.shape) for page in images)
-    if len(sizes) != 1 or not stacks:
-        shapes = ", ".join(str(page.shape) for page in images) or "none"
-        raise DataError(
-            f"expected images or a cube of images of one size, got {shapes}; save the frames alone"
-        )
-    bits = sum(abs(page.header["BITPIX"]) * math.prod(page.shape) for page in images)
-    check_unpacked(bits // 8, file_bytes, "images")
-    frames = [page.data.reshape(-1, *page.shape[-2:]) for page in images]
-    return np.concatenate([one.astype(one.dtype.newbyteorder("=")) for one in frames])
-
-
-def _one_stack(shape: tuple[int, ...]) -> bool:
-    """Tell whether the axes before rows and columns are those of one stack."""
-    return math.prod(shape[:-2]) == max(shape[:-2], default=1)
 
 
 def _check_signature(path: str | Path, signature: bytes, kind: str) -> None:
@@ -256,7 +219,7 @@ def _one_stack_of(values: NDArray[Any], axes: str, *, ours: bool) -> NDArray[Any
         values = values.take(0, axis=axes.index("C"))
     if values.ndim < 2:
         raise DataError(f"expected [row col] or [frame row col], got shape {values.shape}")
-    if not _one_stack(values.shape):
+    if not one_stack(values.shape):
         raise DataError(
             f"expected one stack of frames, got axes {axes} {values.shape}; "
             "save one channel or depth of it"
