@@ -1,7 +1,7 @@
 """A traced lens: where it images things, how far it moves them, how sharply."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,7 @@ import pytest
 from tof_worlds import EXACT, make_camera, quiet, still, wall, wave_of
 
 from lensshift.camera import LensOptics, camera_preset, simulate_tof
-from lensshift.camera.view import View, motions
+from lensshift.camera.view import View, intrinsics_of, motions
 from lensshift.core.grid import Grid
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.lens_file import load_lens
@@ -32,6 +32,13 @@ def petzval() -> Any:
 
 def lens_camera(**options: Any) -> Any:
     return make_camera(SENSOR, optics=LensOptics(petzval(), **options))
+
+
+def behind_a_hole(edge_mm: float, tilt_rad: float = 0.0) -> Lens:
+    """Return a stop of 4 mm, 15 mm in front of a plane surface of another radius."""
+    surfaces = Surface(np.inf, semi_diameter_mm=edge_mm), Surface(-26.0)
+    element = Element(surfaces, ("N-BK7",), (6.0,), tilt_rad=(0.0, tilt_rad))
+    return Lens((element,), (48.0,), Stop(4.0, -15.0))
 
 
 def stripes(cycles: float, turns: float = 0.0) -> Any:
@@ -231,12 +238,7 @@ def test_a_traced_lens_darkens_by_its_stop_and_its_edge(
     edge_mm: float, tilt_rad: float, near_bend: float
 ) -> None:
     """A stop in front of a plane surface: cos^4 / distortion times the overlap of two circles."""
-
-    def landscape(edge_mm: float) -> Lens:
-        surfaces = Surface(np.inf, semi_diameter_mm=edge_mm), Surface(-26.0)
-        element = Element(surfaces, ("N-BK7",), (6.0,), tilt_rad=(0.0, tilt_rad))
-        return Lens((element,), (48.0,), Stop(4.0, -15.0))
-
+    landscape = partial(behind_a_hole, tilt_rad=tilt_rad)
     place_mm = 1.25 * (np.arange(25) - 12.0)
     camera = make_camera(Grid((3, 25), (1.25, 1.25)), optics=LensOptics(landscape(edge_mm), None))
     tangent = fields_for_image(landscape(edge_mm), np.stack([0.0 * place_mm, place_mm], -1))[:, 1]
@@ -254,6 +256,47 @@ def test_a_traced_lens_darkens_by_its_stop_and_its_edge(
     expected = falloff * (1 + tangent**2) ** -1.5  # of a wall lit from the camera
     assert falloff.min() < (0.93 if edge_mm > 20.0 else 0.75)
     np.testing.assert_allclose(seen / seen[12], expected, atol=near_bend)
+
+
+@pytest.mark.filterwarnings("ignore:.*of (its light|the sensor are dark)")
+@pytest.mark.parametrize("tilt_rad", [0.0, 1e-9])
+def test_beyond_its_image_circle_a_traced_lens_is_dark(tilt_rad: float) -> None:
+    """Circles of 2 and 2.2 mm, 15 mm apart, share nothing from a tangent of 4.2 / 15 on."""
+    lens, open_lens = behind_a_hole(2.2, tilt_rad), behind_a_hole(30.0)
+    end_mm = float(spots(open_lens, [0.0, 4.2 / 15.0]).centroid_mm[1])
+    place_mm = 1.25 * (np.arange(33) - 16.0)
+    camera = make_camera(Grid((33, 33), (1.25, 1.25)), optics=LensOptics(lens, 0))
+    with pytest.warns(UserWarning, match=r"about (69|7[0-2]) % of the sensor are dark, from 13"):
+        look = intrinsics_of(camera).directions(camera.grid.shape)
+    capture = still(wall(), camera)
+    away_mm = np.hypot(place_mm, place_mm[:, None])
+    seen, full = capture.burst.amplitude[0], capture.burst.amplitude[0, 16, 16]
+    beyond, within = away_mm > end_mm + 0.7, away_mm < end_mm - 2.5
+    assert beyond.sum() > 200
+    assert seen[beyond].max() < 1e-3 * full  # tails of spots
+    assert capture.truth.amplitude[within.repeat(2, 0).repeat(2, 1)].min() > 1e-3 * full
+    tangent = fields_for_image(open_lens, np.stack([0.0 * place_mm, place_mm], -1))[:, 1]
+    row, col = np.mgrid[-2:2:801j, -2:2:801j]  # points of the stop
+    inside = np.hypot(row, col) < 2.0
+    share = [(np.hypot(row, col + 15.0 * t) < 2.2)[inside].mean() for t in np.abs(tangent)]
+    fields = np.stack([0.0 * tangent, tangent], -1)
+    whole = View(make_camera(camera.grid, optics=LensOptics(open_lens)), 0.5).light(*fields.T)
+    light = View(camera, 0.5).light(*fields.T)
+    np.testing.assert_allclose(light, whole * share, atol=0.02)
+    assert np.all(light[np.abs(place_mm) > end_mm + 1.7] == 0.0)  # a node apart from the end
+    right = look[16, :, 0] / look[16, :, 2]
+    np.testing.assert_allclose(right, tangent, atol=0.02)
+    assert np.all(np.diff(right) > 0)
+
+
+def test_an_image_that_turns_back_is_no_dark_corner() -> None:
+    """An asphere bends light that meets it far out to the middle again."""
+    bent = Surface(-26.0, asphere=(-6e-4,), semi_diameter_mm=8.0)
+    element = Element((Surface(np.inf, semi_diameter_mm=8.0), bent), ("N-BK7",), (6.0,))
+    lens = Lens((element,), (48.0,), Stop(1.0, -15.0))
+    camera = make_camera(Grid((33, 33), (0.8, 0.8)), optics=LensOptics(lens))
+    with pytest.raises(ValueError, match=r"ends in the dark, but about .* mm .* turns back"):
+        View(camera, 0.5)
 
 
 @pytest.mark.parametrize("tilt_rad", [0.0, 1e-9])

@@ -13,11 +13,11 @@ from lensshift.core.lens_field import LensField
 from lensshift.core.types import Burst
 from lensshift.optics.field import equivalent_px2, equivalent_spot, lens_field
 from lensshift.optics.glass import refractive_index
-from lensshift.optics.lens import Lens, Stop, cover_glass
+from lensshift.optics.lens import Element, Lens, Stop, Surface, cover_glass
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import fast_mtf, fast_otf
 from lensshift.optics.shift import decenter_for_shift, moving, shift_map
-from lensshift.optics.spots import fields_for_image
+from lensshift.optics.spots import centroids_mm, fields_for_image
 
 SENSOR = Grid((7, 23), (0.31, 0.42))
 PLAN = np.array([[0.0, 0.0], [0.5, 0.1], [-0.2, 0.4], [0.3, -0.45], [-0.4, -0.3]])
@@ -45,6 +45,26 @@ def test_shifts_are_those_of_the_trace_of_every_pixel(name: str, element: int) -
     assert field.shift_error_px < 1e-6
     # As the claim has to hold where nobody looked, so has what is said of the fit.
     assert np.abs(found - traced_px).max() < 10 * field.shift_error_px + 2e-7
+
+
+@pytest.mark.filterwarnings("ignore:.*of its light", "ignore:the (shifts|widths)")
+def test_beside_dark_corners_shifts_are_as_far_off_as_is_told() -> None:
+    """A stop 15 mm in front of a lens that its beam leaves beyond a radius of 13 mm."""
+    surfaces = Surface(np.inf, semi_diameter_mm=2.2), Surface(-26.0)
+    lens = Lens((Element(surfaces, ("N-BK7",), (6.0,)),), (48.0,), Stop(4.0, -15.0))
+    grid = Grid((21, 21), (1.0, 1.0))
+    field = lens_field(lens, grid)
+    decenter_mm = decenter_for_shift(lens, 0, PLAN, grid)
+    row_mm, col_mm = np.mgrid[-10:11, -10:11].astype(float)
+    places_mm = np.stack([row_mm, col_mm], axis=-1)
+    build = moving(lens, 0, decenter_mm[:, None, None, :])
+    fields = fields_for_image(lens, places_mm, build=build, dark=True)
+    moved_mm = centroids_mm(lens, fields, build, dark=True)
+    traced_px = moved_mm - centroids_mm(lens, fields, None, dark=True)
+    off_px = field.of(burst_of(field)).offset_px - traced_px
+    lit = np.isfinite(off_px)
+    assert 0.7 < lit.mean() < 0.95
+    assert 1e-4 < np.abs(off_px[lit]).max() < 2.0 * field.shift_error_px < 0.1
 
 
 @pytest.mark.parametrize("place", [(0, 0), (3, 11), (6, 2)])

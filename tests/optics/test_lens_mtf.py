@@ -380,8 +380,11 @@ def test_distortion_and_field_inversion() -> None:
     assert image_per_field_mm(lens) == pytest.approx(ideal_mm, rel=1e-3)
     with pytest.raises(ValueError, match="away from the axis"):
         distortion(lens, [0.0, 0.0])
-    with pytest.raises(ValueError, match=r"one is .* mm away|no ray of"):
-        fields_for_image(lens, [[40.0, 0.0]])
+    with pytest.raises(ValueError, match=r"the one 40 / 0 mm .* comes to .* mm: edges"):
+        fields_for_image(lens, [[0.3, -4.9], [40.0, 0.0]])
+    found = fields_for_image(lens, [image_mm[0], [40.0, 0.0]], dark=True)
+    assert found[0] == pytest.approx(fields[0], abs=1e-9)
+    assert np.isnan(found[1]).all()
 
 
 def test_points_at_which_a_ray_meets_an_edge_are_found() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,11 @@ from lensshift.core.intrinsics import Intrinsics, Pinhole
 from lensshift.core.optical import gaussian_width
 from lensshift.optics.lens import Lens
 
+if TYPE_CHECKING:
+    from lensshift.optics.directions import Directions
+
 _LIGHT_NODES = 17  # from the middle to the corner, where the light is traced
+_NO_LIGHT = 1e-9  # of that on the axis: rounding
 _FEW_RINGS = 8  # of rays that tell the light where many places are traced
 _NEAR_PX = 1e-2  # of where a spot is: spots change slowly
 _NODE_RINGS = 4  # of rays that tell how slowly
@@ -148,35 +152,33 @@ class View:
 
     def __init__(self, camera: TofCamera, margin_px: float) -> None:
         self._grid, self._optics = camera.grid, camera.optics
-        self._splines: tuple[Any, Any] | None = None
+        self._directions: Directions | None = None
         # Light from (down, right) over what the f-number tells of the axis, [...] each.
         self.light: Callable[[Array, Array], Array]
         if isinstance(camera.optics, PlainOptics):
             focal_mm = camera.optics.focal_length_mm
             self.light = partial(relative_illumination, camera.optics, camera.grid)
         else:
-            from lensshift.optics.directions import direction_splines
+            from lensshift.optics.directions import Directions
             from lensshift.optics.spots import image_per_field_mm
 
             focal_mm = image_per_field_mm(camera.optics.lens)
-            self._splines = direction_splines(camera.optics.lens, camera.grid, margin_px)
+            self._directions = Directions.of(camera.optics.lens, camera.grid, margin_px)
             ends = (np.array([-margin_px, count - 1 + margin_px]) for count in camera.grid.shape)
             self.light = _traced_light(camera.optics.lens, *self.lattice(*ends))
         self.per_px = (camera.grid.pitch_mm[0] / focal_mm, camera.grid.pitch_mm[1] / focal_mm)
 
     def lattice(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
         """Return down and right over forward, [row col] each, at places [row] and [col]."""
-        if self._splines is not None:
-            down, right = (spline(row_px, col_px) for spline in self._splines)
-            return down, right
+        if self._directions is not None:
+            return self._directions.lattice(row_px, col_px)
         down, right = np.meshgrid(*self._straight(row_px, col_px), indexing="ij")
         return down, right
 
     def at(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
         """Return down and right over forward, [...] each, at places [...]."""
-        if self._splines is not None:
-            down, right = (spline.ev(row_px, col_px) for spline in self._splines)
-            return down, right
+        if self._directions is not None:
+            return self._directions.at(row_px, col_px)
         return self._straight(row_px, col_px)
 
     def _straight(self, row_px: Array, col_px: Array) -> tuple[Array, Array]:
@@ -194,19 +196,37 @@ def _traced_light(lens: Lens, down: Array, right: Array) -> Callable[[Array, Arr
     from scipy.interpolate import CubicSpline, RectBivariateSpline
 
     from lensshift.optics.aberrations import relative_illumination as traced
+    from lensshift.optics.directions import angles_of, tangents_of
     from lensshift.optics.spots import axial_light
 
     through = axial_light(lens)[0]  # the f-number counts what is stopped on the axis, too
     if lens.is_symmetric():
-        tangent = np.linspace(0.0, np.hypot(down, right).max(), _LIGHT_NODES)
-        light = through * traced(lens, tangent[:, None] * np.array([0.0, 1.0]))
-        over_angle = CubicSpline(tangent, light)
-        return lambda down, right: np.maximum(over_angle(np.hypot(down, right)), 0.0)
-    downs, rights = (np.linspace(one.min(), one.max(), _LIGHT_NODES) for one in (down, right))
-    fields = np.stack(np.meshgrid(downs, rights, indexing="ij"), axis=-1)
+        # Evenly in the angle: tangents of wide lenses hold most nodes near their end.
+        angle = np.linspace(0.0, np.arctan(np.hypot(down, right).max()), _LIGHT_NODES)
+        light = through * traced(lens, np.tan(angle)[:, None] * np.array([0.0, 1.0]))
+        over_angle = CubicSpline(angle, light)
+
+        def at_angle(down: Array, right: Array) -> Array:
+            wanted = np.arctan(np.hypot(down, right))
+            return _lit(over_angle(wanted), np.interp(wanted, angle, light))
+
+        return at_angle
+    ends = angles_of(down, right)
+    downs, rights = (np.linspace(one.min(), one.max(), _LIGHT_NODES) for one in ends)
+    fields = np.stack(tangents_of(*np.meshgrid(downs, rights, indexing="ij")), axis=-1)
     light = through * traced(lens, fields, rings=_FEW_RINGS)
-    over_both = RectBivariateSpline(downs, rights, light)
-    return lambda down, right: np.maximum(over_both.ev(down, right), 0.0)
+    smooth, straight = (RectBivariateSpline(downs, rights, light, kx=k, ky=k) for k in (3, 1))
+
+    def at_both(down: Array, right: Array) -> Array:
+        wanted = angles_of(down, right)
+        return _lit(smooth.ev(*wanted), straight.ev(*wanted))
+
+    return at_both
+
+
+def _lit(smooth: Array, straight: Array) -> Array:
+    """Return light by a smooth curve, none where nodes on both sides of a place have none."""
+    return np.where(straight > _NO_LIGHT, np.maximum(smooth, 0.0), 0.0)
 
 
 def _offset_fields(lens: Lens, element: int, grid: Grid, decenter_mm: Array) -> Array:
@@ -220,7 +240,7 @@ def _offset_fields(lens: Lens, element: int, grid: Grid, decenter_mm: Array) -> 
     step_px = (float(rows[1] - rows[0]), float(cols[1] - cols[0]))
     pitch_mm = (step_px[0] * grid.pitch_mm[0], step_px[1] * grid.pitch_mm[1])
     coarse = Grid((len(rows), len(cols)), pitch_mm)
-    field = shift_map(lens, element, decenter_mm, coarse).offset_px * step_px
+    field = shift_map(lens, element, decenter_mm, coarse, dark=True).offset_px * step_px
     row, col = (np.arange(count, dtype=np.float64) for count in grid.shape)
     splines = [[RectBivariateSpline(rows, cols, one[..., i]) for i in (0, 1)] for one in field]
     return np.stack([np.stack([part(row, col) for part in pair], axis=-1) for pair in splines])
@@ -230,7 +250,7 @@ def _spot_blurs(
     optics: LensOptics, element: int, grid: Grid, decenter_mm: Array, side_px: float, per_px: int
 ) -> list[SpotBlur]:
     """Return the spots of the lens in each frame, as squares of a side can tell them."""
-    from lensshift.optics.directions import places_mm
+    from lensshift.optics.directions import from_nearest, places_mm
     from lensshift.optics.lattice import lattice_images
     from lensshift.optics.shift import moving
     from lensshift.optics.spots import fields_for_image
@@ -239,9 +259,11 @@ def _spot_blurs(
     lens, pitch_mm = optics.lens, np.asarray(grid.pitch_mm)
     build = moving(lens, element, decenter_mm[:, None, None, :])
     near_mm = _NEAR_PX * min(grid.pitch_mm)
-    fields = fields_for_image(lens, places_mm(grid, rows, cols), build=build, tolerance_mm=near_mm)
+    fields = fields_for_image(
+        lens, places_mm(grid, rows, cols), build=build, tolerance_mm=near_mm, dark=True
+    )
     blurs = []
-    for moved_mm, of_frame in zip(decenter_mm, fields, strict=True):
+    for moved_mm, of_frame in zip(decenter_mm, map(from_nearest, fields), strict=True):
         images = lattice_images(
             lens, of_frame.reshape(-1, 2), pitch_mm / per_px, 1.0 / (side_px * pitch_mm),
             build=moving(lens, element, moved_mm), diffraction=optics.diffraction,
@@ -265,13 +287,13 @@ def _nodes_between_spots(lens: Lens, grid: Grid, side_px: float) -> tuple[Array,
     where it would be 1. Nodes are as far apart as that allows, but no more of them than where
     directions are traced.
     """
-    from lensshift.optics.directions import nodes_px, places_mm
+    from lensshift.optics.directions import from_nearest, nodes_px, places_mm
     from lensshift.optics.spots import fields_for_image, spots
 
     dense = [nodes_px(count, 0.5) for count in grid.shape]
     near_mm = _NEAR_PX * min(grid.pitch_mm)
-    fields = fields_for_image(lens, places_mm(grid, *dense), tolerance_mm=near_mm)
-    spot = spots(lens, fields, rings=_NODE_RINGS)
+    fields = fields_for_image(lens, places_mm(grid, *dense), tolerance_mm=near_mm, dark=True)
+    spot = spots(lens, from_nearest(fields), rings=_NODE_RINGS)
     landing_px = spot.ray_mm / np.asarray(grid.pitch_mm)
     most_px = side_px / np.pi * np.sqrt(2.0 * _LOST)
     found = []

@@ -13,9 +13,8 @@ from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import Band
 from lensshift.optics.otf import exact_otf
 from lensshift.optics.pupil import pupil_quadrature
-from lensshift.optics.shift import SIDES
 from lensshift.optics.spots import fields_for_image, image_per_field_mm
-from lensshift.optics.trace import Build, trace
+from lensshift.optics.trace import SIDES, Build, trace
 
 _NEAR_CHIEF = 1e-3  # of the stop radius: close enough for differences, far enough from rounding
 _FAN_RAYS = 41  # a curve that looks smooth, with its chief ray

@@ -16,11 +16,12 @@ from lensshift.core.arrays import Floats
 from lensshift.core.errors import QualityWarning, warn_quality
 from lensshift.core.grid import Grid
 from lensshift.core.lens_field import MOTIONS, LensField, Motion
+from lensshift.optics.directions import continued
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import fast_otf
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.shift import NEAR, central_slope, moving, probe_mm
-from lensshift.optics.spots import CENTROID_RINGS, fields_for_image, marks_of, spots
+from lensshift.optics.spots import centroids_mm, fields_for_image, marks_of, spots
 from lensshift.optics.trace import Build
 
 Waves = NDArray[np.complex128]
@@ -172,7 +173,7 @@ def _reaching(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Mover:
-    """What moves, and the quantities at places and states in -1 .. 1."""
+    """What moves, and the quantities at places and states in -1 .. 1: NaN where it is dark."""
 
     lens: Lens
     grid: Grid
@@ -185,39 +186,50 @@ class _Mover:
         pitch_mm, state = np.asarray(self.grid.pitch_mm), s * np.asarray(self.reach)
         if self.element is None:
             return np.broadcast_to(-state / pitch_mm, (len(u), len(s), 2))
-        fields, build = self._aimed(u, state)
-        moved_mm = spots(self.lens, fields, build=build, rings=CENTROID_RINGS).centroid_mm
-        resting_mm = spots(self.lens, fields, rings=CENTROID_RINGS).centroid_mm
+        fields = self._fields(u, state)
+        moved_mm, resting_mm = (
+            centroids_mm(self.lens, fields, build, dark=True)
+            for build in (self._build(state), None)
+        )
         return np.asarray((moved_mm - resting_mm) / pitch_mm)
 
     def otf(self, u: Floats, s: Floats) -> Waves:
         """Return the OTF about the centroid [place state 2 frequency] along (row, col)."""
-        fields, build = self._aimed(u, s * np.asarray(self.reach))
-        found = np.empty((len(u), len(s), 2, len(_CPP)), np.complex128)
+        state = s * np.asarray(self.reach)
+        fields = self._fields(u, state)
+        found = np.full((len(u), len(s), 2, len(_CPP)), np.nan, np.complex128)
         azimuths_rad, pitches_mm = np.array([0.5 * np.pi, 0.0]), np.asarray(self.grid.pitch_mm)
         parts = [slice(0, 2)] if pitches_mm[0] == pitches_mm[1] else [slice(0, 1), slice(1, 2)]
         for place, field_tan in enumerate(fields):  # each with as many rays as it needs
-            for axes in parts:
+            lit = np.flatnonzero(np.isfinite(field_tan[:, 0]))
+            for axes in parts if lit.size else ():
                 lpmm = _CPP / pitches_mm[axes][0]
-                found[place, :, axes] = fast_otf(
-                    self.lens, field_tan, lpmm, azimuths_rad[axes], build=build
-                )
+                found[place, lit, axes] = fast_otf(
+                    self.lens, field_tan[lit], lpmm, azimuths_rad[axes],
+                    build=self._build(state[lit]),
+                )  # fmt: skip
         return found
 
     def spots(self, u: Floats, s: Floats) -> Floats:
         """Return variances in px^2 and third moments in px^3 [place state 4] of the spots."""
         return np.concatenate(equivalent_spot(self.otf(u, s)), axis=-1)
 
-    def _aimed(self, u: Floats, state: Floats) -> tuple[Floats, Build | None]:
-        """Return the fields [place state 2] imaged at places, and the build [state]."""
+    def _build(self, state: Floats) -> Build | None:
+        """Return the builds [state]."""
+        if self.element is None:
+            return None
+        return moving(self.lens, self.element, state, tilt=self.motion == "tilt")
+
+    def _fields(self, u: Floats, state: Floats) -> Floats:
+        """Return the fields [place state 2] imaged at places."""
         half_mm = 0.5 * np.asarray(self.grid.shape) * np.asarray(self.grid.pitch_mm)
         places_mm = np.broadcast_to((u * half_mm)[:, None], (len(u), len(state), 2))
-        near_mm = NEAR * min(self.grid.pitch_mm)
         if self.element is None:
             places_mm = places_mm + state
-            return fields_for_image(self.lens, places_mm, tolerance_mm=near_mm), None
-        build = moving(self.lens, self.element, state, tilt=self.motion == "tilt")
-        return fields_for_image(self.lens, places_mm, build=build, tolerance_mm=near_mm), build
+        near_mm = NEAR * min(self.grid.pitch_mm)
+        return fields_for_image(
+            self.lens, places_mm, build=self._build(state), tolerance_mm=near_mm, dark=True
+        )
 
 
 def equivalent_px2(contrast: Floats) -> Floats:
@@ -295,11 +307,13 @@ def _fit(sample: Sample, degrees: tuple[tuple[int, int], ...], goal: float) -> t
     best, least = np.zeros((1, 1, 1, 1, traced.shape[-1])), np.inf
     for of_field, of_state in degrees:
         n, m = of_field + 1, of_state + 1
-        at_nodes = sample(_crossed(_nodes(n)), _crossed(_nodes(m))).reshape(n, n, m, m, -1)
+        of_states = sample(_crossed(_nodes(n)), _crossed(_nodes(m))).reshape(n, n, m * m, -1)
+        lit = [continued(one, _nodes(n), _nodes(n)) for one in np.moveaxis(of_states, 2, 0)]
+        at_nodes = np.stack(lit, axis=2).reshape(n, n, m, m, -1)
         to_n, to_m = (np.linalg.inv(chebvander(_nodes(k), k - 1)) for k in (n, m))
         found = np.einsum("ip,jq,ar,bs,pqrsc->ijabc", to_n, to_n, to_m, to_m, at_nodes,
                           optimize=True)  # fmt: skip
-        error = float(np.abs(_values(found, places, states) - traced).max())
+        error = float(np.nanmax(np.abs(_values(found, places, states) - traced)))
         converges = error < _CONVERGES * least
         if error < least:
             best, least = found, error
@@ -319,9 +333,9 @@ def _spot_errors(sample: Sample, spot: Floats) -> tuple[float, float, float]:
     fitted_px2 = np.maximum(fitted_px2, 0.0)
     width_px = np.sqrt(equivalent_spot(otf)[0])
     off = np.abs(spot_otf(fitted_px2, fitted_px3) - otf) * np.sinc(_CPP)
-    wrong_px = np.abs(np.sqrt(fitted_px2) - width_px).max(axis=(0, 2))
+    wrong_px = np.nanmax(np.abs(np.sqrt(fitted_px2) - width_px), axis=(0, 2))
     near = np.abs(states).max(axis=-1) < 0.5
-    return float(wrong_px.max()), float(wrong_px[near].max()), float(off.max())
+    return float(np.nanmax(wrong_px)), float(np.nanmax(wrong_px[near])), float(np.nanmax(off))
 
 
 def _values(coefficients: Floats, places: Floats, states: Floats) -> Floats:

@@ -23,6 +23,7 @@ AZIMUTHS_RAD = (0.0, 0.5 * np.pi)  # across columns (a vertical edge), across ro
 _FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
 _RINGS = 6  # of rays where nothing asks for more
 _MOST_PERIODS = 0.5  # between neighbouring rays: two of them for each period
+_FEWEST_RAYS = 16  # that tell the width of what is left of a pupil
 _SPARE = 1.1  # rings more than the ratio says: the outermost are not evenly apart
 _MOST_PLACES = 65  # along an axis of a sensor
 _MOST_RAYS = 1e6  # at once, some 250 MB
@@ -157,7 +158,7 @@ def fast_otf(
     band : the light; the design wavelength alone by default
     defocus_mm : [...] sensor moved away from the lens; broadcasts with the leading axes
     rings : of the pupil quadrature; by default 6, or as many as neighbouring rays need to land
-        within half a period
+        within half a period, or 16 of them to arrive where most of the light is cut off
 
     Raises
     ------
@@ -200,20 +201,20 @@ def _enough_spots(
     """Return the spots of each wavelength and their rings: those told, or as many as it takes."""
     highest_lpmm = float(np.abs(frequency_lpmm).max())
 
-    def traced(count: int) -> tuple[list[Spots], float]:
+    def traced(count: int) -> tuple[list[Spots], float, float]:
         parts = [
             spots(lens, field_tan, build=build, wavelength_nm=nm, rings=count) for nm, _ in light
         ]
-        farthest_mm = max(_farthest_mm(part, axes, defocus_mm, count) for part in parts)
-        return parts, highest_lpmm * farthest_mm
+        periods = highest_lpmm * max(_farthest_mm(one, axes, defocus_mm, count) for one in parts)
+        fewest = min(int((one.weight > 0).sum(axis=-1).min()) for one in parts)
+        return parts, periods, max(periods / _MOST_PERIODS, (_FEWEST_RAYS / fewest) ** 0.5)
 
     count = rings or _RINGS
-    parts, periods = traced(count)
+    parts, periods, missing = traced(count)
     affordable = int(np.sqrt(_MOST_RAYS / (4 * parts[0].transmission.size)))
-    while periods > _MOST_PERIODS and rings is None and count < affordable:
-        needed = int(np.ceil(_SPARE * count * periods / _MOST_PERIODS))
-        count = min(max(needed, count + 1), affordable)
-        parts, periods = traced(count)
+    while missing > 1 and rings is None and count < affordable:
+        count = min(max(int(np.ceil(_SPARE * count * missing)), count + 1), affordable)
+        parts, periods, missing = traced(count)
     if periods > _MOST_PERIODS:
         warn_quality(
             f"the rays of {count} rings land up to {periods:.2g} periods apart, more than the "

@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
 from lensshift.core.motion import ShiftField
+from lensshift.optics.directions import continued
 from lensshift.optics.lens import Lens
 from lensshift.optics.mtf import pixel_centres_mm
 from lensshift.optics.paraxial import decenter_gains
-from lensshift.optics.spots import CENTROID_RINGS, fields_for_image, spots
-from lensshift.optics.trace import Build
+from lensshift.optics.spots import centroids_mm, fields_for_image
+from lensshift.optics.trace import SIDES, Build
 
-SIDES = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # for differences
 ENOUGH_PIXELS = 17  # rows and columns that tell how even a shift is
 NEAR = 1e-5  # of a pixel; the offset changes by less than 1e-7 px over it
 _INVERSE_STEPS = 12  # each divides the error by what is not linear in a shift, 100 and more
@@ -29,7 +29,13 @@ _PROBE = (
 
 
 def shift_map(
-    lens: Lens, element: int, decenter_mm: ArrayLike, grid: Grid, *, most: int | None = None
+    lens: Lens,
+    element: int,
+    decenter_mm: ArrayLike,
+    grid: Grid,
+    *,
+    most: int | None = None,
+    dark: bool = False,
 ) -> ShiftField:
     """Return the image offset of every pixel when one element is moved.
 
@@ -44,6 +50,7 @@ def shift_map(
     decenter_mm : [2] or [frame 2] (row, col), added to the decentre of the element
     grid : of the sensor, centred on the axis
     most : rows and columns of pixels, the outermost among them, where not all are wanted
+    dark : whether pixels that receive no light are `continued` from others, in place of an error
 
     Returns
     -------
@@ -65,11 +72,12 @@ def shift_map(
     pixels_mm = centres_mm.reshape(-1, 2)
     moved = moving(lens, element, moves[:, None, :])
     near_mm = NEAR * min(grid.pitch_mm)
-    fields = fields_for_image(lens, pixels_mm, build=moved, tolerance_mm=near_mm)
-    moved_mm = spots(lens, fields, build=moved, rings=CENTROID_RINGS).centroid_mm
-    resting_mm = spots(lens, fields, rings=CENTROID_RINGS).centroid_mm
+    fields = fields_for_image(lens, pixels_mm, build=moved, tolerance_mm=near_mm, dark=dark)
+    moved_mm, resting_mm = (centroids_mm(lens, fields, of, dark=dark) for of in (moved, None))
     offset_px = (moved_mm - resting_mm) / np.asarray(grid.pitch_mm)
-    return ShiftField(offset_px.reshape(len(moves), *centres_mm.shape), grid.pitch_mm)
+    of_frames = offset_px.reshape(len(moves), *centres_mm.shape)
+    places = (centres_mm[:, 0, 0], centres_mm[0, :, 1])
+    return ShiftField(np.stack([continued(one, *places) for one in of_frames]), grid.pitch_mm)
 
 
 def decenter_for_shift(lens: Lens, element: int, offset_px: ArrayLike, grid: Grid) -> Floats:

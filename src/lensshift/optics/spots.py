@@ -16,6 +16,7 @@ from lensshift.optics.pupil import midpoints, pupil_quadrature
 from lensshift.optics.trace import Build, RayBundle, trace
 
 CENTROID_RINGS = 2  # of the pupil: the centroid is smooth
+_FEWEST_RAYS = 2  # of 16: where one alone arrives it is nearly dark, and shows no spot
 _FIELD_STEPS = 30  # a wide lens with distortion needs more than a few
 _LITTLE = 0.5  # of the light
 _TELLING = 0.01  # share of a step that must show in the image to learn from it
@@ -68,6 +69,32 @@ def spots(
     points, weight = pupil_quadrature(rings, inner=obstruction(lens))
     rays = trace(lens, field_tan, points, build=build, wavelength_nm=wavelength_nm)
     return spots_of_rays(lens, field_tan, rays, weight)
+
+
+def centroids_mm(
+    lens: Lens, field_tan: ArrayLike, build: Build | None = None, *, dark: bool = False
+) -> Floats:
+    """Return the centroids [... 2] of spots, by the few rays that tell them.
+
+    Parameters
+    ----------
+    field_tan, build : as for `trace`; with `dark` some fields may be NaN
+    dark : whether centroids of fields without light are NaN, in place of an error
+
+    Raises
+    ------
+    ValueError
+        As in `spots`, where dark fields are none of the answer.
+    """
+    if not dark:
+        return spots(lens, field_tan, build=build, rings=CENTROID_RINGS).centroid_mm
+    points, weight = pupil_quadrature(CENTROID_RINGS, inner=obstruction(lens))
+    fields = np.asarray(field_tan, dtype=np.float64)
+    rays = trace(lens, np.nan_to_num(fields), points, build=build)
+    share, transmission = _shares(rays, weight)
+    landing_mm = np.where(share[..., None] > 0, rays.position_mm, 0.0)
+    lit = (transmission > 0) & np.isfinite(fields).all(axis=-1)
+    return np.where(lit[..., None], np.einsum("...r,...rc->...c", share, landing_mm), np.nan)
 
 
 def axial_light(lens: Lens) -> tuple[float, float]:
@@ -129,12 +156,21 @@ def spots_of_rays(lens: Lens, field_tan: ArrayLike, rays: RayBundle, weight: Flo
 
 
 def _arriving(lens: Lens, rays: RayBundle, weight: Floats) -> tuple[Floats, Floats]:
-    """Return weights [... ray] of the rays that arrive, of sum 1, and how much of all they are."""
-    alive = np.where(rays.passed, weight, 0.0)
-    transmission = alive.sum(axis=-1)
+    """Return what `_shares` does, of fields that all have light."""
+    share, transmission = _shares(rays, weight)
     if not np.all(transmission > 0):
         raise ValueError(_why_dark(lens, rays))
-    return alive / transmission[..., None], transmission
+    return share, transmission
+
+
+def _shares(rays: RayBundle, weight: Floats) -> tuple[Floats, Floats]:
+    """Return weights [... ray] of the rays that arrive, of sum 1, and how much of all they are.
+
+    All are 0 where no ray arrives.
+    """
+    alive = np.where(rays.passed, weight, 0.0)
+    transmission = alive.sum(axis=-1)
+    return alive / np.where(transmission > 0, transmission, 1.0)[..., None], transmission
 
 
 def _warn_of_loss(lens: Lens, field_tan: ArrayLike, rays: RayBundle, transmission: Floats) -> None:
@@ -160,12 +196,14 @@ def fields_for_image(
     build: Build | None = None,
     rings: int = CENTROID_RINGS,
     tolerance_mm: float = 1e-7,
+    dark: bool = False,
 ) -> Floats:
     """Return the fields [... 2] whose spots have their centroids at points of the sensor.
 
     Broyden's method from the derivative of the paraxial lens, so that distortion of any size does
-    not slow it down. Where a ray is stopped by an edge on one side of the point and not on
-    the other, its centroid is that with or without this ray.
+    not slow it down. A step that leads where no light arrives is halved until some does. Where a
+    ray is stopped by an edge on one side of the point and not on the other, its centroid is that
+    with or without this ray.
 
     Parameters
     ----------
@@ -173,6 +211,7 @@ def fields_for_image(
     build : deviations of the elements; leading axes broadcast with those of `image_mm`
     rings : of the pupil quadrature that makes the spots
     tolerance_mm : how close the centroids must come
+    dark : whether points without light, or next to none, are NaN, in place of an error
 
     Raises
     ------
@@ -183,22 +222,37 @@ def fields_for_image(
     """
     wanted = np.asarray(image_mm, dtype=np.float64)
     inverse: Floats = np.eye(2) / image_per_field_mm(lens)
-    field = wanted @ inverse
     points, weight = pupil_quadrature(rings, inner=obstruction(lens))
-    before = step = np.zeros(2)
+    step = wanted @ inverse
+    base, before, share, ever_lit = np.zeros(2), wanted, np.zeros(len(weight)), np.array(False)
     for number in range(_FIELD_STEPS):
+        field = base + step
         rays = trace(lens, field, points, build=build)
-        if number < _SETTLING_STEPS:
-            share, _ = _arriving(lens, rays, weight)
+        settled = (number >= _SETTLING_STEPS) & (share.sum(axis=-1) > 0)
+        share = np.where(settled[..., None], share, _shares(rays, weight)[0])
         landing_mm = np.where(share[..., None] > 0, rays.position_mm, 0.0)
         error = wanted - np.einsum("...r,...rc->...c", share, landing_mm)
-        if np.abs(error).max() < tolerance_mm:
-            return np.asarray(field + np.einsum("...ij,...j->...i", inverse, error))
+        arrives = np.isfinite(error).all(axis=-1) & (share.sum(axis=-1) > 0)
+        ever_lit = ever_lit | arrives
+        found = arrives & (np.abs(error).max(axis=-1) < tolerance_mm)
+        if np.all(found):
+            break
         if number:
-            inverse = _updated(inverse, step, before - error)
-        step = np.einsum("...ij,...j->...i", inverse, error)
-        field, before = field + step, error
-    raise ValueError(_why_unsettled(wanted, error))
+            inverse = np.where(
+                arrives[..., None, None], _updated(inverse, step, before - error), inverse
+            )
+        onwards = np.einsum("...ij,...j->...i", inverse, error)
+        lit = arrives[..., None]
+        base, before = np.where(lit, field, base), np.where(lit, error, before)
+        step = np.where(found[..., None], 0.0, np.where(lit, onwards, 0.5 * step))
+    else:
+        if not dark:
+            if not np.all(ever_lit):
+                raise ValueError(_why_dark(lens, rays))
+            raise ValueError(_why_unsettled(wanted, np.where(lit, error, before)))
+    nearer = np.asarray(field + np.einsum("...ij,...j->...i", inverse, error))
+    lit = found & (rays.passed.sum(axis=-1) >= _FEWEST_RAYS) if dark else found
+    return np.where(lit[..., None], nearer, np.nan)
 
 
 def _why_unsettled(wanted_mm: Floats, error_mm: Floats) -> str:

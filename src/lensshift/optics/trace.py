@@ -11,6 +11,8 @@ from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.optics.aim import Rays, launch
 from lensshift.optics.lens import Lens
 
+SIDES = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # for differences
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Build:
