@@ -40,9 +40,16 @@ def test_builds_are_told_counted_and_drawn(call: Call, tmp_path: Path) -> None:
     drawn = plot.read_text()
     assert f"{100 * found['yield']:.1f} % of 12 builds keep 0.85" in drawn  # type: ignore[operator]
     assert "loss of the least MTF, each tolerance at its limit alone" in drawn
+    assert found["rough"] is False
     other = numbers(call, *arguments, "--seed", 1)
     assert other["percentiles_5_50_95"] != found["percentiles_5_50_95"]
     assert other["sensitivity"] == rows
+
+
+def test_builds_without_contrast_are_said_to_be_rough(call: Call) -> None:
+    asked = "--builds", 2, "--sensor", "16x16", "--pitch-mm", 0.005, *NONE
+    done = call("lens", "tolerance", "lc4210", *asked)
+    assert "an MTF below 0.1 is rough, by up to 0.1" in done.output
 
 
 def test_builds_that_are_dark_tell_of_no_shift(call: Call) -> None:

@@ -225,6 +225,8 @@ def tolerance(current: Session, asked: _ToleranceOptions) -> None:
 
 
 def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: float) -> None:
+    from lensshift.optics import tolerance as building
+
     low, median, high = found.percentiles()
     share = found.yield_at(limit)
     current.say(
@@ -233,6 +235,13 @@ def _say_builds(current: Session, found: ToleranceResult, builds: int, limit: fl
         f"{found.nominal_mtf.min():.3f}"
     )
     current.say(f"{100 * share:.1f} % of the builds keep {limit:g}")
+    rough = bool(min(low, found.nominal_mtf.min(), limit) < building.ROUGH_BELOW)
+    if rough:
+        current.say(
+            f"an MTF below {building.ROUGH_BELOW:g} is rough, by up to {building.ROUGH:g}: builds "
+            "without contrast get few rays; `lens mtf` has the exact one of the lens as drawn"
+        )
+    current.result["rough"] = rough
     errors_px = found.shift_error_px[found.shift_error_px >= 0]  # NaN where a field is dark
     if len(errors_px) < builds:
         current.say(f"{builds - len(errors_px)} builds leave a field dark, without a shift")
