@@ -335,6 +335,43 @@ def test_a_catalogue_goes_before_the_package(
         assert f'name = "{name}"' in format_lens(lens)
 
 
+def test_of_two_catalogues_the_first_goes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Makers use names of others for other glasses; the rest of a catalogue was lost with them."""
+    monkeypatch.setattr("lensshift.optics.glass._added", {})
+    one = "NM MINE 1 0 1.5 60\nCD 2.25\nLD 0.3 2.5\n"
+    two = one.replace("2.25", "2.56") + one.replace("MINE", "YOURS").replace("2.25", "2.89")
+    again = one + one.replace("2.25", "2.2801")
+    for name, text in (("one", one), ("two", two), ("again", again)):
+        (tmp_path / f"{name}.agf").write_text(text.replace(" 1.5 60", ""))
+    load_glass_catalogue(tmp_path / "one.agf")
+    with pytest.warns(QualityWarning, match="MINE: left out, as another glass of this name"):
+        load_glass_catalogue(tmp_path / "two.agf")
+    assert refractive_index("MINE", 850.0) == pytest.approx(1.5, abs=1e-12)
+    assert refractive_index("YOURS", 850.0) == pytest.approx(1.7, abs=1e-12)
+    with pytest.warns(QualityWarning, match="line 4: MINE is there twice, the first is taken"):
+        load_glass_catalogue(tmp_path / "again.agf")
+
+
+def test_light_beside_a_narrow_range_is_told_and_not_that_of_the_d_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a glass that is known about the C line only no Abbe number can be taken."""
+    monkeypatch.setattr("lensshift.optics.glass._added", {})
+    (tmp_path / "own.agf").write_text("NM NARROW 1 0\nCD 2.25\nLD 0.6 0.7\n")
+    load_glass_catalogue(tmp_path / "own.agf")
+    text = zmx(FAR, FRONT.replace("N-BK7", "NARROW"), BACK, IMAGE)
+    with pytest.raises(DataError, match="from 600 to 700 nm for NARROW, got 850"):
+        parse_zmx(text.replace("WAVM 1 0.5875618", "WAVM 1 0.85"))
+
+
+def test_an_image_in_glass_is_refused_for_that() -> None:
+    wet = BACK.replace("DIAM", "GLAS ___BLANK 1 0 1.333 55; DIAM")
+    with pytest.raises(DataError, match=r"got model:1\.333:55.*image in glass or a liquid"):
+        parse_zmx(zmx(FAR, FRONT, wet, IMAGE))
+
+
 def test_a_catalogue_that_agrees_with_the_package_changes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,7 +28,7 @@ _CONTRADICTS = 0.01  # between what constants give and what is stated: more than
 def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
     """Read a glass catalogue and make its glasses known to lens files by their names.
 
-    They go before those of the package.
+    They go before those of the package, and behind those of catalogues that were loaded before.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def load_glass_catalogue(path: str | Path) -> dict[str, Glass]:
         glasses = parse_agf(text, wrong, doubtful)
         if not glasses:
             raise wrong[0] if wrong else DataError("expected glasses (NM), got none")
-        add_glasses(glasses)
+        add_glasses(glasses, behind=True)
     for told, what in ((wrong, "are left out"), (doubtful, "may be wrong")):
         if told:
             first = "; ".join(str(one) for one in told[:SAID])
@@ -87,8 +87,10 @@ def parse_agf(
             if "NM" in lines:
                 try:
                     name, glass = _glass(lines)
-                    glasses.setdefault(name, glass)
-                    if doubtful is not None:
+                    if glasses.setdefault(name, glass) != glass and doubtful is not None:
+                        at = f"line {lines['NM'][0]}"
+                        doubtful.append(f"{at}: {name} is there twice, the first is taken")
+                    elif doubtful is not None:
                         doubtful += _contradiction(glass, *lines["NM"])
                 except DataError as error:
                     if wrong is None:

@@ -160,38 +160,48 @@ def _moulded(name: str) -> Glass | None:
     return solid and replace(solid, lower_by=_USUALLY_LOWER, source=AS_USUAL)
 
 
-def add_glasses(glasses: dict[str, Glass]) -> None:
+def add_glasses(glasses: dict[str, Glass], *, behind: bool = False) -> None:
     """Make glasses known by their names, in upper case.
 
     Those of the package keep their constants where these give the same index.
 
+    Parameters
+    ----------
+    behind : whether names of `add_glasses` before keep the glass they have
+
     Raises
     ------
     ValueError
-        If a name is one of `add_glasses` before, with other constants.
+        If a name is one of `add_glasses` before, with other constants, and not `behind`.
 
     Warns
     -----
     QualityWarning
-        If a name is that of another glass of the package, which it replaces.
+        If a name is that of another glass of the package, which it replaces, or of one before.
     """
-    replaced = []
+    replaced, left = [], []
     for name, glass in glasses.items():
         known = _added.get(name)
-        if known is not None and known != glass:
-            raise ValueError(f"expected one set of constants for glass {name}, got two")
+        if known is not None:
+            if known != glass and not behind:
+                raise ValueError(
+                    f"expected one set of constants for glass {name}, got two: give it another name"
+                )
+            left += [name] if _apart(glass, known) > _OTHER_INDEX else []
+            continue
         shipped = _shipped().get(name)
         if shipped is None or shipped.source.startswith(BY_CODE):
             _added[name] = glass
         elif (apart := _apart(glass, shipped)) > _SAME_INDEX:
             _added[name] = glass
             replaced += [name] if apart > _OTHER_INDEX else []
-    if replaced:
-        more = f" and {len(replaced) - SAID} more" if len(replaced) > SAID else ""
-        warn_quality(
-            f"{', '.join(replaced[:SAID])}{more}: taken as given, which is another glass than that "
-            "of this name in the package"
-        )
+    for names, told in (
+        (replaced, "taken as given, which is another glass than that of this name in the package"),
+        (left, "left out, as another glass of this name was loaded before"),
+    ):
+        if names:
+            more = f" and {len(names) - SAID} more" if len(names) > SAID else ""
+            warn_quality(f"{', '.join(names[:SAID])}{more}: {told}")
 
 
 def _apart(one: Glass, other: Glass) -> float:

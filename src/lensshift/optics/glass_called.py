@@ -70,7 +70,7 @@ def glass_in_light(name: str, wavelength_nm: float) -> tuple[str, str | None]:
 
 def _alike(name: str, wavelength_nm: float) -> str:
     low_nm, high_nm = glass_data(name).range_nm
-    if holds(name, wavelength_nm) or not low_nm < 1e3 * C_UM < high_nm:
+    if holds(name, wavelength_nm) or not low_nm < 1e3 * F_UM < 1e3 * C_UM < high_nm:
         return name
     at_d, at_f, at_c = (refractive_index(name, 1e3 * um) for um in (D_UM, F_UM, C_UM))
     newer = successor(name)

@@ -262,7 +262,11 @@ def _groups(entries: list[Entry]) -> Iterable[list[int]]:
             yield group
             group = []
     if group:
-        raise entries[-1].wrong("expected air in front of the image: is the file cut off?")
+        within = entries[group[-1]].glass
+        raise entries[-1].wrong(
+            f"expected air in front of the image, got {within}: is the file cut off? An image in "
+            "glass or a liquid is not traced"
+        )
 
 
 def _element(entries: list[Entry], frames: list[Frame], notes: list[str]) -> Element:
