@@ -82,6 +82,19 @@ def test_a_mirror_is_not_tilted() -> None:
         trace(lens, AXIS, MIDDLE, build=Build(tilt_rad=np.full((1, 2), 1e-3)))
 
 
+@pytest.mark.parametrize("radius_mm", [-12.0, -50.0, 50.0])
+def test_wedges_stand_clear_of_a_hollow_lens(radius_mm: float) -> None:
+    """Its edge reaches 2.6 mm ahead of its vertex; a table of movers ended in `they overlap`."""
+    front, back = Surface(radius_mm, semi_diameter_mm=7.5), Surface(-9.0, semi_diameter_mm=7.5)
+    lens = Lens((Element((front, back), ("N-BK7",), (6.0,)),), (20.0,), Stop(3.0, 0.0))
+    pair = with_wedges(lens, 1e-3, (0.0, math.pi))
+    wedges, glass = pair.elements[:2], pair.elements[2]
+    ahead_mm = pair.gaps_mm[1] + front.sag_mm(np.linspace(0.0, 7.5, 99)).min()
+    assert ahead_mm == pytest.approx(1.0, abs=1e-9)
+    assert (wedges[0].name, glass) == ("wedge", lens.elements[0])
+    assert spots(pair, AXIS).centroid_mm == pytest.approx([0.0, 0.0], abs=2e-3)
+
+
 @pytest.mark.parametrize("towards_deg", [0.0, 90.0, 217.0])
 def test_a_wedge_turns_light_towards_its_thick_side(towards_deg: float) -> None:
     alpha, towards_rad, distance_mm = 0.02, math.radians(towards_deg), 30.0

@@ -37,6 +37,7 @@ _MOST_TILT_RAD = math.radians(30.0)  # no mount turns farther
 _PLATE_GLASS, _PLATE_MM = "N-BK7", 1.0
 _PLATE_ROOM_MM = 0.2  # on either side
 _WEDGE_MM, _WEDGE_ROOM_MM = 1.0, 1.0
+_HEIGHTS = 33  # of a surface, where it is asked how far it reaches
 _WEDGE_USE = 0.5  # sine of the turn of each wedge for the wanted diagonal shift
 
 
@@ -143,8 +144,11 @@ def with_wedges(
 
 
 def _before_lens_mm(lens: Lens) -> float:
-    """Return how much room two wedges take in front of a lens and its stop."""
-    return 2.0 * (_WEDGE_MM + _WEDGE_ROOM_MM) + max(0.0, -lens.stop.position_mm)
+    """Return how much room two wedges take in front of a lens, a hollow one too, and its stop."""
+    front = lens.elements[0].surfaces[0]
+    edge_mm = front.semi_diameter_mm if math.isfinite(front.semi_diameter_mm) else 0.0
+    hollow_mm = -float(np.nanmin(front.sag_mm(np.linspace(0.0, edge_mm, _HEIGHTS))))
+    return 2.0 * (_WEDGE_MM + _WEDGE_ROOM_MM) + max(hollow_mm, -lens.stop.position_mm, 0.0)
 
 
 class _Turning(NamedTuple):
