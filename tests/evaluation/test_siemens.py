@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from scipy.special import ive
+from scipy.special import ive, j1
 from seen_patterns import gaussian_mtf, seen, seen_mtf
 
 from lensshift.core.errors import QualityWarning
@@ -323,3 +323,17 @@ def test_bad_input(change: dict[str, object], message: str) -> None:
     arguments = {"image": exact_star(), "cycles": CYCLES, "pitch_mm": 1.0, "center_px": CENTER}
     with pytest.raises(ValueError, match=message):
         siemens_star_mtf(**(arguments | change))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_contrast_behind_a_disc_out_of_focus(seed: int) -> None:
+    """It falls faster than any Gaussian, which meets frequency 0 far above."""
+    rng = np.random.default_rng(seed)
+    f, std = np.linspace(0.5, 1.0, 30), 0.002
+    z = 2.0 * np.pi * 0.45 * f
+    seen = 0.8 * 2.0 * j1(z) / z * np.sinc(0.3 * f) + std * rng.standard_normal(f.size)
+    fits = [HarmonicFit(one, std, 0.0, 100, 0.01) for one in seen]
+    contrast, _ = contrast_at_zero(f, fits, None)
+    gaussian = np.exp(np.polyfit(f**2, np.log(seen), 1)[1])
+    assert gaussian > 0.86
+    assert abs(contrast - 0.8) < 0.02

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import special
 
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import warn_quality
@@ -22,7 +23,10 @@ Pitch = float | Pair  # one or (row, col)
 _MAX_CONDITION = 10.0  # of the columns of one fit, each of norm 1; full rings have about 1.5
 _MAX_CENTER_STEPS = 30
 _CENTER_TOLERANCE_PX = 1e-4
-_SHAPES = np.linspace(0.0, 1.0, 21)  # shares of diffraction in the fall of the contrast
+# Of the fall that is seen: how much a cusp, as of diffraction, and a disc may make up. Above 1 what
+# is left rises, as behind sharpening.
+_SHAPES = np.linspace(0.0, 1.5, 13)
+_DISC_ZERO_RAD = 3.8317  # of J1: a disc out of focus shows nothing there
 _MIN_MODULATION = 1e-3  # of the lowest frequencies; below, the image does not hold the target
 _SURE = 4.0  # deviations: noise of two quadratures exceeds them once in 3000
 _ENDED = 0.2  # of the modulation that blur would have left
@@ -165,9 +169,13 @@ def contrast_at_zero(
     """Return the modulation at frequency 0 and its standard deviation.
 
     From the levels (low, high): (high - low) / (high + low), taken as exact; times 4 / pi for a
-    square wave. Else by the straight line through log modulation over frequency^2, as a Gaussian
-    falls. Over the frequency itself, as diffraction falls, it meets 0 higher: the truth is taken to
-    be anywhere between, each fall as likely as it fits.
+    square wave. Else extrapolated by
+
+        log m = log contrast - a f - b f^2 + log |2 J1(z) / z|,   z = 2 pi f R
+
+    f as diffraction and halos fall, f^2 as a Gaussian and a pixel, J1 as a disc out of focus of
+    radius R. A Gaussian alone is taken unless others fit better by two deviations; then the mean of
+    each a and R that is possible, as it fits. The error holds how far off they are.
     """
     if levels is not None:
         low, high = levels
@@ -182,22 +190,40 @@ def contrast_at_zero(
             f"expected contrast at low frequencies, got {np.min(modulation):.2g} with a scatter of "
             f"{np.median(std):.2g}: does the image show this pattern?"
         )
-    ones, place = np.ones_like(frequency_lpmm), frequency_lpmm / frequency_lpmm[-1]
-    logs, misfits = [], []
-    for share in _SHAPES:
-        design = np.column_stack([ones, (1.0 - share) * place**2 + share * place])
-        solving = np.linalg.pinv(design)
-        found = solving @ np.log(modulation)
-        if share == 0.0:
-            noise = np.linalg.norm(solving[0] * std / modulation)
-        logs.append(found[0])
-        misfits.append(np.sum(((design @ found - np.log(modulation)) * modulation / std) ** 2))
+    place, weight = frequency_lpmm / frequency_lpmm[-1], modulation / std
+    design = np.column_stack([weight, weight * place**2])
+    solving = np.linalg.pinv(design)
+    bend = float((solving @ (weight * np.log(modulation)))[1])
+    known = _falls(place, bend, float(np.linalg.norm(solving[1])))
+    told = weight * (np.log(modulation) - known)
+    logs, bends = solving @ told.T
+    misfits = np.sum((told.T - design @ (logs, bends)) ** 2, axis=0)
+    # A cusp beside a Gaussian that rises is no lens, only two terms that cancel.
+    possible = (bends * np.sign(bend) >= 0.0) | (np.arange(logs.size) < _SHAPES.size)
+    logs, misfits = logs[possible], misfits[possible]
     # How far the modulations are off beyond their own scatter is not known (Student's t).
-    freedom, scale = len(fits) - 2, max(1.0, min(misfits) / (len(fits) - 2))
-    likely = ((1.0 + np.array(misfits)) / (1.0 + min(misfits))) ** (-0.5 * (freedom + 1))
-    apart = np.average((np.array(logs) - logs[0]) ** 2, weights=likely)
-    contrast = float(np.exp(logs[0]))
+    freedom, scale = len(fits) - 2, max(1.0, misfits.min() / (len(fits) - 2))
+    likely = ((1.0 + misfits) / (1.0 + misfits.min())) ** (-0.5 * (freedom + 1))
+    # The simplest, a Gaussian alone, as long as nothing fits better by two deviations.
+    plain = misfits[0] - misfits.min() <= 4.0 * scale
+    middle = float(logs[0] if plain else np.average(logs, weights=likely))
+    apart = float(np.average((logs - middle) ** 2, weights=likely))
+    contrast, noise = float(np.exp(middle)), float(np.linalg.norm(solving[0]))
     return contrast, contrast * float(np.sqrt(scale * noise**2 + apart))
+
+
+def _falls(place: Floats, bend: float, bend_std: float) -> Floats:
+    """Return what cusps and discs [k] add to log m [k n], those without a cusp first.
+
+    By `place`, the frequency over the highest, where log m bends by bend place^2 in all.
+    """
+    most = abs(bend) + 2.0 * bend_std
+    cusps = np.copysign(most, bend) * _SHAPES
+    discs_rad = np.minimum(np.sqrt(8.0 * most * _SHAPES), 0.97 * _DISC_ZERO_RAD)
+    z = np.maximum(np.multiply.outer(discs_rad, place), 1e-6)
+    discs = np.log(2.0 * special.j1(z) / z)
+    both = np.multiply.outer(cusps, place)[:, None, :] + discs
+    return np.asarray(both.reshape(-1, place.size))
 
 
 def printed_count(frequency_lpmm: Floats, fits: Sequence[HarmonicFit], apart: int) -> int:

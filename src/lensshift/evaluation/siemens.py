@@ -78,9 +78,8 @@ def siemens_star_mtf(
     in rings one pixel wide; c1 .. c4 take up uneven light. The odd harmonics of a square star are
     fitted too, up to the sampling frequency if they are told apart. `contrast` is the modulation
     at frequency 0: from `levels` (high - low) / (high + low), times 4 / pi for a square star; else
-    extrapolated from the outer half of the radii by log m = log contrast - q f^2, exact for a
-    Gaussian blur. Its error says how far another fall, as by diffraction, that fits as well would
-    be off.
+    extrapolated from the outer half of the radii, but for rings that the rim reaches, as
+    `known_phase.contrast_at_zero` says. Its error says how far off other falls are that fit.
 
     Parameters
     ----------
@@ -124,8 +123,10 @@ def siemens_star_mtf(
         count = len(pixels_per_cycle)
         warn_quality(f"{coarse} of {count} rings of the star have fewer than 2 pixels a cycle")
     frequency_lpmm = star.frequency_lpmm(rings_mm)
-    outer = max(_MIN_RINGS, int(np.count_nonzero(rings_mm >= rings_mm[0] / 2)))
-    contrast = known_phase.contrast_at_zero(frequency_lpmm[:outer], fits[:outer], levels, profile)
+    inner = _beyond_rim(star, rings_mm, radii_mm, center) if not radius_range_mm else 0
+    outer = max(inner + _MIN_RINGS, int(np.count_nonzero(rings_mm >= rings_mm[0] / 2)))
+    used = slice(inner, outer)
+    contrast = known_phase.contrast_at_zero(frequency_lpmm[used], fits[used], levels, profile)
     places = [center, *(() if center_px else _starts_px(pixels))]
     _refuse_other_star(star, places, radii_mm[1])
     known_phase.warn_if_out_of_step(fits, f"the number of {cycles} cycles")
@@ -286,6 +287,20 @@ def _rim_mm(star: _Star, center_px: Pair, radii_mm: Pair) -> float:
     if waved[0] >= 0.5 * waved.max() and not less:
         return radii_mm[1]
     return float(rings_mm[np.argmax(waved >= 0.5 * waved.max())]) - _RIM_PX * star.step_mm
+
+
+def _beyond_rim(star: _Star, rings_mm: Floats, radii_mm: Pair, center_px: Pair) -> int:
+    """Return how many rings a rim within the image reaches, which tell no contrast.
+
+    Of a wave of frequency f a spread farther than 1 / (2 pi f) cancels; nearer, light is exchanged
+    with what is beyond the rim. Twice that is left out, but never more than half the star.
+    """
+    if radii_mm[1] >= star.default_range_mm(center_px)[1]:
+        return 0
+    away_mm = radii_mm[1] + _RIM_PX * star.step_mm - rings_mm
+    reached = away_mm < 2.0 * rings_mm / star.cycles
+    outer = int(np.count_nonzero(rings_mm >= rings_mm[0] / 2))
+    return max(min(int(np.count_nonzero(reached)), outer - _MIN_RINGS - 2), 0)
 
 
 def _printed(
