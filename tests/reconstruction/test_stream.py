@@ -20,7 +20,7 @@ from lensshift.reconstruction import stream
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
 from lensshift.reconstruction.following import Followed, View
 from lensshift.reconstruction.learned.phasors import LOW_PASS_PX
-from lensshift.reconstruction.photometry import light_since
+from lensshift.reconstruction.photometry import light_since, lights
 from lensshift.reconstruction.places import Known
 
 SHAPE, SCALE = (21, 26), 2
@@ -451,10 +451,10 @@ def test_std_holds_what_follows_light_that_sinks(factor, seed):
     assert after.settings["pace"] == "live"
     turned = np.exp(1j * PER_M * after.distance_m.image) / mosaic.truth
     off_m = np.abs(np.angle(turned)) / PER_M
-    assert np.mean(off_m < 2 * after.distance_m.std) > 0.85
-    assert np.mean(after.distance_m.std) > 1.05 * np.mean(before.distance_m.std)
+    assert np.mean(off_m < 2 * after.distance_m.std) > 0.92
+    assert np.mean(after.distance_m.std) > np.mean(before.distance_m.std)
     off = np.abs(after.amplitude.image - factor * np.abs(mosaic.truth))
-    assert np.mean(off < 2 * after.amplitude.std) > 0.75
+    assert np.mean(off < 2 * after.amplitude.std) > 0.9
     assert np.mean(after.amplitude.std) < 3 * np.sqrt(np.mean(off**2))
 
 
@@ -502,6 +502,87 @@ def test_a_step_of_the_light_leaves_the_picture_right(factor, waves, pace):
         for found in after:
             assert found.settings["event"] is None
             assert error(found, factor * truth) < factor * (1.3 * usual + noise)
+
+
+EXPOSURES = {
+    "automatic": lambda rng, count: rng.uniform(0.7, 1.4, count),
+    "flickers": lambda rng, count: 1 + 0.05 * rng.standard_normal(count),
+    "ramp": lambda rng, count: 1.02 ** np.arange(count),
+}
+
+
+@pytest.mark.filterwarnings("ignore:the light changed")
+@pytest.mark.parametrize("kind", EXPOSURES)
+@pytest.mark.parametrize("waves", [True, False])
+@pytest.mark.parametrize("pace", ["auto", "refined"])
+def test_pictures_are_right_in_light_that_is_another_in_each_frame(kind, waves, pace):
+    """Of an exposure of 0.7 to 1.4 they were five times as far off as at rest."""
+    for seed in (5, 6, 7):
+        truth = phasor_mosaic(seed, SHAPE).truth if waves else 0.2 + scene(seed).truth
+        one, clean = camera(pace=pace, modulation_hz=15e6), clean_frames(truth)
+        rng, sigma = np.random.default_rng(seed), 0.01 * np.abs(clean).mean()
+        usual = error(run(one, clean, 6, sigma=sigma, rng=rng)[-1], truth)
+        held = []
+        for k, times in enumerate(EXPOSURES[kind](rng, 10), start=6):
+            found = run(one, times * clean, 1, sigma=sigma, rng=rng, first=k)[0]
+            assert found.settings["event"] is None
+            assert error(found, times * truth) < times * 1.3 * usual + sigma
+            off = np.abs(np.abs(found.amplitude.image) - times * np.abs(truth))
+            held.append(np.mean((off < 2 * found.amplitude.std)[INNER]))
+        assert np.mean(held) > 0.9
+
+
+@pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("waves", [True, False])
+def test_frames_that_are_lost_in_other_light_keep_their_order(seed, waves):
+    """They are told by the light of the place that they are of."""
+    truth = phasor_mosaic(seed, SHAPE).truth if waves else 0.2 + scene(seed).truth
+    one, clean = camera(modulation_hz=15e6), clean_frames(truth)
+    rng, sigma = np.random.default_rng(seed), 0.02 * np.abs(clean).mean()
+    for k in (*range(10), *range(11 + seed % 2, 24)):
+        times = rng.uniform(0.8, 1.25)
+        found = run(one, times * clean, 1, sigma=sigma, rng=rng, first=k)[0]
+    assert one.frames[-1] == 23 % 4
+    assert "contradiction" not in found.amplitude.notes
+
+
+@pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
+@pytest.mark.parametrize("waves", [True, False])
+def test_light_that_goes_for_two_frames_leaves_nothing_behind(waves):
+    """Frames of noise were multiplied by fifty, and each later one again with them."""
+    for seed in (3, 4):
+        truth = phasor_mosaic(seed, SHAPE).truth if waves else 0.2 + scene(seed).truth
+        one, clean = camera(modulation_hz=15e6), clean_frames(truth)
+        rng, sigma = np.random.default_rng(seed), 0.02 * np.abs(clean).mean()
+        usual = error(run(one, clean, 12, sigma=sigma, rng=rng)[-1], truth)
+        run(one, 0.02 * clean, 2, sigma=sigma, rng=rng)
+        after = run(one, clean, 10, sigma=sigma, rng=rng, first=14)[-1]
+        assert error(after, truth) < 1.3 * usual
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("waves", [True, False])
+def test_light_of_frames_of_other_places(seed, waves):
+    truth, rng = phasor_mosaic(seed, SHAPE).truth, np.random.default_rng(seed)
+    clean = clean_frames(truth if waves else 0.2 + np.abs(truth))
+    sigma = 0.02 * np.abs(clean).mean()
+    noise = sigma * rng.standard_normal((2, *clean.shape))
+    noisy = clean + (noise[0] + 1j * noise[1] if waves else noise[0])
+
+    def burst(frames):
+        return lensshift.Burst.from_arrays(frames, offset_px=SQUARE_PX, pitch_mm=1.0)
+
+    times = rng.uniform(0.8, 1.25, 4)
+    np.testing.assert_allclose(
+        lights(burst(times[:, None, None] * noisy), 2), times[2] / times, rtol=0.01
+    )
+    other = noisy.copy()
+    other[2, :, :8] *= 3
+    assert np.all(lights(burst(noisy), 2) == 1)
+    assert np.all(lights(burst(other), 2) == 1)
+    if not waves:  # a level is no light
+        assert np.all(lights(burst(noisy + np.array([0, 0, 1, 0])[:, None, None]), 2) == 1)
 
 
 def lit(values):

@@ -145,7 +145,9 @@ class View:
         return replace(self, rest=np.where(self.valid, self.rest - change * self.basis, 0))
 
 
-def views_of(found: Reconstruction, frame: Frame, number: int) -> dict[str, View]:
+def views_of(
+    found: Reconstruction, frame: Frame, number: int, light: float = 1.0
+) -> dict[str, View]:
     """Return what the channels expect beside what the frame shows; "phasor" if these are phasors.
 
     Nothing of what it does not show.
@@ -153,14 +155,19 @@ def views_of(found: Reconstruction, frame: Frame, number: int) -> dict[str, View
     Parameters
     ----------
     number : of the frame among those of the picture
+    light : how many times as bright as the picture the frame is, by which it is divided; its noise
+        as well where it is darker (that of light grows with it)
     """
+    if light != 1.0:
+        frame = replace(frame, amplitude=frame.amplitude / light)
+    noise = 1.0 / min(light, 1.0)
     if (phasors := _as_phasors(found)) is not None:
-        light, _, scale = phasors
+        bright, _, scale = phasors
         z = _phasor_of(frame, scale)
-        return {} if z is None else {"phasor": _view(light, z, frame, number)}
+        return {} if z is None else {"phasor": _view(bright, z, frame, number, noise)}
     shown = {"amplitude": frame.amplitude, "distance": frame.distance_m}
     return {
-        name: _view(one, values, frame, number)
+        name: _view(one, values, frame, number, noise if name == "amplitude" else 1.0)
         for name, one in found.channels.items()
         if (values := shown[name]) is not None
     }
@@ -215,6 +222,30 @@ class Followed:
         return replace(self, found=found, unsure=unsure)
 
 
+def brighter(found: Reconstruction, times: float) -> Reconstruction:
+    """Return a picture in another light: its amplitude, with the std, is so many times as large."""
+    one = found.amplitude
+    if one is None or times == 1.0:
+        return found
+    predict: Any = one.predict
+    frames = _predictor_of(one)
+    lit = replace(frames, image=frames.image * times, bias=frames.bias * times)
+    return replace(
+        found,
+        amplitude=replace(
+            one,
+            image=one.image * times,
+            fine=None if one.fine is None else one.fine * times,
+            uncertainty=None if one.uncertainty is None else partial(_std_times, one, times),
+            predict=replace(predict, phasor=lit) if isinstance(predict, PhasorPredictor) else lit,
+        ),
+    )
+
+
+def _std_times(one: Estimate, times: float) -> Floats:
+    return np.asarray(one.std) * times
+
+
 def _std_of(solved: Estimate, one: Estimate, unsure: Floats) -> Floats:
     """Return the std of a picture that followed: that of its detail, and of what it followed.
 
@@ -234,13 +265,13 @@ def _std_of(solved: Estimate, one: Estimate, unsure: Floats) -> Floats:
     return np.asarray(np.hypot(std, followed))
 
 
-def _view(one: Estimate, values: Array, frame: Frame, number: int) -> View:
+def _view(one: Estimate, values: Array, frame: Frame, number: int, noise: float) -> View:
     predictor = _predictor_of(one)
     model = predictor.model_of(number)
     seen = model.predict(predictor.image)[0]
     valid = frame.valid & model.inside[0]
     rest = np.where(valid, values - seen, 0)
-    return View(model, seen, rest, valid, one.noise_sigma or 0.0)
+    return View(model, seen, rest, valid, noise * (one.noise_sigma or 0.0))
 
 
 def _predictor_of(one: Estimate) -> FramePredictor:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
-from lensshift.core.defects import unequal_brightness
+from lensshift.core.defects import NO_CHANCE, unequal_brightness
 from lensshift.core.errors import QualityWarning
-from lensshift.core.types import Estimate, Frame
+from lensshift.core.gaussian import MEDIAN_SIZE
+from lensshift.core.local_means import gaussian_around
+from lensshift.core.types import Burst, Estimate, Frame
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import ESTIMATED
 from lensshift.reconstruction.noise import robust_scale
-from lensshift.reconstruction.quantiles import ENOUGH, weighted_median
+from lensshift.reconstruction.quantiles import ENOUGH, weighted_mad, weighted_median
 
 HUBER_SIGMAS = 1.345
 # Rounds end when no gain changes by more than this share, far below what it is off by in the end:
@@ -24,6 +28,11 @@ HUBER_SIGMAS = 1.345
 SETTLED, MOST_ROUNDS = 1e-3, 16
 # Of the light of a frame, if another light is to explain what changed.
 LIT = 0.9
+# Light is told from what is no farther from it than that, which two rounds find. Less than a tenth
+# of noise is farther than twice its deviation.
+MOST_SIGMAS, ROUNDS_OF_LIGHT, NOISE_SIGMAS = 3.0, 2, 2.0
+# A Gaussian that leaves a hundredth of what pixels cannot tell from its alias, at half a cycle.
+LOW_PASS_PX = math.sqrt(2 * math.log(100)) / math.pi
 
 
 def estimate_photometry(A: LinearOperator, y: Array, weight: Array) -> tuple[Floats, Floats]:
@@ -63,36 +72,144 @@ def estimate_photometry(A: LinearOperator, y: Array, weight: Array) -> tuple[Flo
     return gain, bias
 
 
-def light_since(frame: Frame, before: Frame) -> float:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gain:
+    """How many times as bright some pixels are as others of the same surfaces.
+
+        g = median y / y' where it is within 3 d,   s = 1.253 d / sqrt n
+
+    Weighted by |y'| and at most its median, y' the brighter ones, so that g < 1; of phasors both
+    components have one. s is the standard error of a median of n values, of which d is the robust
+    deviation.
+
+    Parameters
+    ----------
+    gain : g
+    darker : whether the pixels are the darker ones
+    apart : [pixel] by how much each ratio is more than g
+    bright, dark, light : [pixel] y' and y, and the weight
+    spread : d
+    alike_px : pixels that noise makes alike
+    """
+
+    gain: float
+    darker: bool
+    apart: Array
+    bright: Array
+    dark: Array
+    light: Array
+    spread: float
+    alike_px: float
+
+    @property
+    def times(self) -> float:
+        return self.gain if self.darker else 1 / self.gain
+
+    @property
+    def chance(self) -> bool:
+        """Whether g is no farther from 1 than chance has it once in a million times."""
+        from scipy.special import ndtr, stdtrit
+
+        used = self.light[np.abs(self.apart) <= MOST_SIGMAS * self.spread]
+        count = float(np.sum(used)) ** 2 / float(np.sum(used**2)) / self.alike_px
+        if count <= 1:
+            return True
+        few = float(-stdtrit(count - 1, float(ndtr(-NO_CHANCE))))
+        return 1 - self.gain <= few * self.spread * math.sqrt(math.pi / 2 / count)
+
+    @property
+    def level(self) -> bool:
+        """Whether a level that is added leaves less than half of the squares."""
+        if np.iscomplexobj(self.dark):  # all that is added to phasors is light
+            return False
+        even = np.ones(self.dark.shape)
+        added, times = (weighted_mad(self.dark - g * self.bright, even) for g in (1.0, self.gain))
+        return 2 * added**2 < times**2
+
+    def share(self, which: Mask) -> float:
+        """Return the share of the light of some pixels."""
+        return float(np.sum(self.light[which]) / np.sum(self.light))
+
+
+def _gain(now: Array, then: Array, alike_px: float = 1.0) -> _Gain | None:
+    """Return the gain of pixels against others, None if they are as bright."""
+    darker = float(np.sum(np.abs(now))) < float(np.sum(np.abs(then)))
+    dark, bright = (now, then) if darker else (then, now)
+    seen = bright != 0
+    if not seen.any():
+        return None
+    dark, bright = dark[seen], bright[seen]
+    ratio = dark / bright
+    size = np.abs(bright)
+    light = used = np.minimum(size, np.median(size))
+    for _ in range(ROUNDS_OF_LIGHT):
+        # Beyond 2 is noise of dark pixels, which the halvings of a median need not count to.
+        parts = (np.clip(part, -2, 2) for part in (ratio.real, ratio.imag))
+        mean = complex(*(weighted_median(part, used) for part in parts))
+        gain = abs(mean)
+        if not 0 < gain < 1:
+            return None
+        apart = np.clip((ratio * mean.conjugate()).real / gain, -2, 2) - gain
+        spread = weighted_mad(apart, used) / MEDIAN_SIZE + float(np.finfo(np.float32).eps)
+        used = np.where(np.abs(apart) <= MOST_SIGMAS * spread, light, 0.0)
+    return _Gain(gain, darker, apart, bright, dark, light, spread, alike_px)
+
+
+def light_since(frame: Frame, before: Frame, noise_sigma: float = 0.0) -> float:
     """Return how many times as bright a frame is as another one of the same place; 1 if not surely.
 
-        g = median y / y',   1 unless nine tenths of the light are nearer to g times than to once
-
-    Weighted by |y'| and at most its median, y' the brighter one (else 1 / g); of phasors both
-    components have one. What is no more than noise, or in a part of the frame, as what moved, is no
+    Surely: it is no chance, no level that is added, and nine tenths of the light are nearer to it
+    than to once, but for twice the noise. What is in a part of the frame, as what moved, is no
     other light, and less than half a frame says nothing.
+
+    Parameters
+    ----------
+    noise_sigma : of a pixel, of a component of phasors
     """
     some = slice(None, None, max(1, frame.valid.size // ENOUGH) | 1)
     masks = (frame.valid.ravel()[some], before.valid.ravel()[some])
     used = masks[0] & masks[1]
+    if 2 * np.sum(used) < max(np.sum(mask) for mask in masks):
+        return 1.0
     now, then = (one.amplitude.ravel()[some][used] for one in (frame, before))
-    darker = float(np.sum(np.abs(now))) < float(np.sum(np.abs(then)))
-    dark, bright = (now, then) if darker else (then, now)
-    seen = bright != 0
-    if not seen.any() or 2 * np.sum(used) < max(np.sum(mask) for mask in masks):
+    found = _gain(now, then)
+    if found is None or found.chance or found.level:
         return 1.0
-    size, ratio = np.abs(bright[seen]), dark[seen] / bright[seen]
-    weight = np.minimum(size, np.median(size))
-    # Beyond 2 is noise of dark pixels, which the halvings of a median need not count to.
-    parts = (np.clip(part, -2, 2) for part in (ratio.real, ratio.imag))
-    mean = complex(*(weighted_median(part, weight) for part in parts))
-    gain = abs(mean)
-    if not 0 < gain < 1:
-        return 1.0
-    nearer = (ratio * mean.conjugate()).real / gain < (1 + gain) / 2
-    if np.sum(weight[nearer]) < LIT * np.sum(weight):
-        return 1.0
-    return gain if darker else 1 / gain
+    noise = NOISE_SIGMAS * noise_sigma * math.hypot(1, found.gain) / np.abs(found.bright)
+    lit = found.share(np.abs(found.apart) < (1 - found.gain) / 2 + noise)
+    return found.times if lit > LIT else 1.0
+
+
+def lights(burst: Burst, latest: int) -> Floats:
+    """Return how many times as bright as each frame [frame] of a burst the latest one is.
+
+    All of them are 1 unless one surely is not: it is no chance, and no level that is added. Frames
+    of other places see other aliases: they are compared behind a low pass, where they lie on each
+    other, which takes nothing but their shifts. Aliases and noise lie on both sides, what moved in
+    a part of the frame on one. Less than half a frame says nothing.
+    """
+    from scipy.ndimage import shift
+
+    away_px = burst.offset_px - burst.offset_px[latest]
+    seen = np.maximum(gaussian_around(burst.valid.astype(np.float64), LOW_PASS_PX), 1e-3)
+    smooth = gaussian_around(np.where(burst.valid, burst.amplitude, 0), LOW_PASS_PX) / seen
+    times, surely = np.ones(burst.frame_count), False
+    for k, away in enumerate(away_px):
+        there = shift(burst.valid[k].astype(np.float64), -away, order=1)
+        used = burst.valid[latest] & (there > 1 - 1e-6)  # of what is between its pixels all four
+        if k == latest or 2 * np.sum(used) < max(np.sum(burst.valid[j]) for j in (k, latest)):
+            continue
+        moved = shift(smooth[k], -away, mode="mirror")
+        found = _gain(smooth[latest][used], moved[used], 4 * math.pi * LOW_PASS_PX**2)
+        if found is None:
+            continue
+        far = (found.gain - 1) / 2, MOST_SIGMAS * found.spread
+        sides = (
+            found.share(found.apart > of) - found.share(found.apart < -of) for of in np.abs(far)
+        )
+        other = max(map(abs, sides)) < 1 - LIT and not found.level
+        times[k], surely = found.times, surely or (other and not found.chance)
+    return times if surely else np.ones(burst.frame_count)
 
 
 def in_one_light(

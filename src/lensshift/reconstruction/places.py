@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lensshift.core.local_means import mean_around
-from lensshift.core.types import Frame, Status
+from lensshift.core.types import Frame, Reconstruction, Status
 from lensshift.reconstruction.following import MOST_SIGMAS, Followed, View, views_of
+from lensshift.reconstruction.photometry import light_since
 
 # A frame is of another scene where most pixels are farther from the picture than noise and shifts
 # explain (`misfit.LIMIT` is that of a solved burst).
@@ -33,17 +34,35 @@ class Known:
     followed : as it was computed, and as it followed the frames since
     frames : of which it was computed, by their places
     left : of places, what the picture leaves of their frames
+    light : how many times as bright as the picture the frames now are
     """
 
     followed: Followed
     frames: dict[int, Frame]
     left: dict[int, dict[str, View]] = field(default_factory=dict)
+    light: float = 1.0
 
     @property
     def fits(self) -> bool:
         """Whether its frames do not contradict it."""
         channels = self.followed.solved.channels.values()
         return all(one.status is not Status.CONTRADICTED for one in channels)
+
+    def beside(self, frame: Frame, at: int) -> tuple[Known, dict[str, View], float]:
+        """Return it beside the light of a frame of a place, and what that is `against`.
+
+        A frame that contradicts there may be of another place, and tells its light by that.
+        """
+        light = self.followed.solved.amplitude
+        noise = (light.noise_sigma if light is not None else None) or 0.0
+        known = replace(self, light=light_since(frame, self.frames[at], noise))
+        changed, share = known.against(frame, at)
+        if share > RESTS and known.light == 1.0:
+            others = (light_since(frame, one, noise) for one in self.frames.values())
+            known = replace(self, light=next((times for times in others if times != 1.0), 1.0))
+            if known.light != 1.0:
+                changed, share = known.against(frame, at)
+        return known, changed, share
 
     def against(
         self, frame: Frame, at: int, *, elsewhere: bool = False
@@ -54,7 +73,7 @@ class Known:
         Of a place that is not the frame's own (`elsewhere`) the picture has to explain all: a frame
         that did not fit there, after a knock, would speak for the next ones.
         """
-        views, left = views_of(self.followed.found, frame, self._number(at)), self._left(at)
+        views, left = self._views(self.followed.found, frame, at, self.light), self._left(at)
         changed = {name: one.since(left[name]) for name, one in views.items() if name in left}
         if not changed:  # as of a frame without distances
             return {}, MOST
@@ -79,7 +98,7 @@ class Known:
         A frame of the other place has t = 1 and leaves nothing, light that changes t = 0, and a
         camera that was knocked more than there was.
         """
-        views = views_of(self.followed.solved, frame, self._number(at))
+        views = self._views(self.followed.solved, frame, at, self.light)
         name = next(iter(views), None)
         if name is None or name not in self._left(at):
             return at
@@ -106,12 +125,12 @@ class Known:
                 best, nearest = left, k
         return nearest
 
-    def _number(self, at: int) -> int:
-        return sorted(self.frames).index(at)
+    def _views(self, found: Reconstruction, frame: Frame, at: int, light: float) -> dict[str, View]:
+        return views_of(found, frame, sorted(self.frames).index(at), light)
 
     def _left(self, at: int) -> dict[str, View]:
         if at not in self.left:
-            self.left[at] = views_of(self.followed.solved, self.frames[at], self._number(at))
+            self.left[at] = self._views(self.followed.solved, self.frames[at], at, 1.0)
         return self.left[at]
 
 
@@ -137,15 +156,20 @@ class Claim:
         frames = self.frames | {self.counted: frame}
         return replace(self, frames=frames, counted=(self.counted + 1) % len(self.known.frames))
 
-    def tells(self, frame: Frame, at: int) -> bool | None:
+    def tells(self, frame: Frame, at: int, light: float) -> bool | None:
         """Return whether the next frame is where the claim expects it; None: it does not say.
 
         As one after another loss does not. Nothing loses frames for a whole round.
+
+        Parameters
+        ----------
+        light : how many times as bright as the picture it is
         """
-        if len(self.frames) == len(self.known.frames):
+        known = replace(self.known, light=light)
+        if len(self.frames) == len(known.frames):
             return False
-        shares = {k: self.known.against(frame, k, elsewhere=True)[1] for k in self.known.frames}
-        nearest = self.known.nearest(frame, self.counted)
+        shares = {k: known.against(frame, k, elsewhere=True)[1] for k in known.frames}
+        nearest = known.nearest(frame, self.counted)
         if nearest == at or RESTS < shares[self.counted] * BETTER_PLACE >= shares[at]:
             return True
         if max(shares[at], shares[self.counted]) <= RESTS:

@@ -10,16 +10,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.burst_checks import all_valid
 from lensshift.core.defects import blank_frames
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst, Frame, Reconstruction
-from lensshift.reconstruction.following import Followed
+from lensshift.reconstruction.following import Followed, brighter
 from lensshift.reconstruction.method import Method
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import one_of
 from lensshift.reconstruction.phasor.choice import UNTOLD
-from lensshift.reconstruction.photometry import light_since
+from lensshift.reconstruction.photometry import lights
 from lensshift.reconstruction.places import BETTER_PLACE, MOST, RESTS, Claim, Known
 from lensshift.reconstruction.reconstruct import reconstruct
 
@@ -40,7 +41,6 @@ class Stream:
         self._template, self._scale, self._pace = template, scale, pace
         self._settings = settings
         self._frames: dict[int, Frame] = {}
-        self._light: dict[int, float] = {}  # of each, relative to the picture's
         self._known: Known | None = None
         self._next = self._since_refined = self._since_asked = 0
         self._contradicted = 0  # pictures computed one after the other that their frames contradict
@@ -52,18 +52,14 @@ class Stream:
     def window(self) -> Burst:
         """The frames in the picture, as a burst, in the order of the plan.
 
-        Those of before the light changed are as bright as the latest one where a picture was
-        computed of them.
+        Those of before the light changed are as bright as the latest one.
 
         Raises
         ------
         ValueError
             Before the first frame.
         """
-        places = sorted(self._frames)
-        if not places:
-            raise ValueError("expected a frame with a valid pixel before the first picture")
-        return _burst_of(self._template, places, [self._frames[k] for k in places])
+        return self._in_one_light()[0]
 
     @property
     def frames(self) -> tuple[int, ...]:
@@ -117,14 +113,12 @@ class Stream:
             self._known = None
             if self._claim is not None:  # what it placed elsewhere is of after the change
                 self._frames.update(self._claim.frames)
-                self._light = dict.fromkeys(self._frames, 1.0)
         if event == "scene changed" or place is not None or not shows:
             self._claim = None
         self._rests = self._rests and rests and len(self._frames) == self._template.frame_count
-        light = self._light_of(one, at)
         self._frames.pop(at, None)
         if shows:
-            self._frames[at], self._light[at] = one, light
+            self._frames[at] = one
         self._next = (at + 1) % self._template.frame_count
         self._event = event or self._event
 
@@ -145,43 +139,48 @@ class Stream:
         live = self._rests and settled and self._pace != "refined" and not refined
         live = live and not (self._pace == "auto" and round_ends)
         if live and self._known is not None:
-            found = self._known.followed.found
+            found = brighter(self._known.followed.found, self._known.light)
             self._since_refined += 1
         else:
             rests = self._rests and settled and self._pace == "auto" and not refined
             before = self._believed() if rests else None
             self._since_asked = 0 if before is None else self._since_asked + 1
-            self._as_bright_as_the_latest()
-            found = reconstruct(self.window, self._scale, streamed=before or True, **self._settings)
+            window, times = self._in_one_light()
+            found = reconstruct(window, self._scale, streamed=before or True, **self._settings)
             wrong = any("contradiction" in one.notes for one in found.channels.values())
-            self._known = Known(Followed(found, found), dict(self._frames))
-            self._light = dict.fromkeys(self._frames, 1.0)
+            self._known = Known(Followed(found, found), self._lit(times))
             self._contradicted = self._contradicted + 1 if wrong else 0
             self._since_refined, live = 0, False
         event, self._event, self._rests = self._event, None, True
         said = {"pace": "live" if live else "refined", "places": sorted(self._frames)}
         return replace(found, settings=dict(found.settings) | said | {"event": event})
 
-    def _light_of(self, frame: Frame, at: int) -> float:
-        """Return how many times as bright as that of the picture a frame of a place is."""
-        known = self._known
-        if known is not None and at in known.frames:
-            return light_since(frame, known.frames[at])
-        return self._light[self.frames[-1]] if self._frames else 1.0
+    def _in_one_light(self) -> tuple[Burst, Floats]:
+        """Return the frames as bright as the latest, and by what [frame] they are multiplied."""
+        places = sorted(self._frames)
+        if not places:
+            raise ValueError("expected a frame with a valid pixel before the first picture")
+        window = _burst_of(self._template, places, [self._frames[k] for k in places])
+        if self._settings.get("photometric"):
+            return window, np.ones(len(places))
+        times = lights(window, places.index(self.frames[-1]))
+        if np.any(times != 1):  # else their numbers stay what they are
+            window = replace(window, amplitude=window.amplitude * times[:, None, None])
+        return window, times
 
-    def _as_bright_as_the_latest(self) -> None:
-        """Multiply the frames of before the light changed: a picture has one brightness."""
-        latest = self._light[self.frames[-1]] if self._frames else 1.0
-        other = {k: latest / self._light[k] for k in self._frames if self._light[k] != latest}
-        for k, times in other.items():
-            one = self._frames[k]
-            self._frames[k], self._light[k] = replace(one, amplitude=one.amplitude * times), latest
-        if other:
-            most = max(other.values(), key=lambda times: abs(math.log(times)))
+    def _lit(self, times: Floats) -> dict[int, Frame]:
+        """Return the frames so many times as bright, of which the user is told."""
+        frames, other = dict(self._frames), np.flatnonzero(times != 1)
+        for n in other:
+            k = sorted(frames)[n]
+            frames[k] = replace(frames[k], amplitude=frames[k].amplitude * times[n])
+        if other.size:
+            most = max(times[other], key=lambda one: abs(math.log(one)))
             self._warn(
-                f"the light changed: {len(other)} frames of before are multiplied, by up to "
+                f"the light changed: {other.size} frames of before are multiplied, by up to "
                 f"{most:.3g}, to be as bright as the latest"
             )
+        return frames
 
     def _refuse_another_kind(self, frame: Frame) -> None:
         """Refuse what does not go into one burst: of amplitudes alone phases would be 0.
@@ -221,22 +220,17 @@ class Stream:
         known = self._known
         if known is None or at not in self._frames or at not in known.frames:
             return at, None, False  # what nobody saw may be anything
+        known, changed, share = known.beside(frame, at)
+        self._known = known
         if place is None and self._claim is not None:
-            true = self._claim.tells(frame, at)
+            true = self._claim.tells(frame, at, known.light)
             if true is False:
                 self._warn("no frames were lost, but the camera moved: all before is left out")
                 return self._claim.counted, "scene changed", False
             self._claim = None if true else self._claim.also(frame)
-        changed, share = known.against(frame, at)
-        other = self._light_of(frame, at) / self._light[self.frames[-1]] if share > RESTS else 1.0
-        if other != 1:  # more than is followed, and perhaps nothing else
-            frame = replace(frame, amplitude=frame.amplitude / other)
-            share = known.against(frame, at)[1]
         asked = place is None and len(known.frames) == count > 1
         best = known.nearest(frame, at) if asked and known.fits else at
         if best == at and share <= RESTS:
-            if other != 1:
-                return at, None, False
             if self._pace != "refined":
                 self._known = replace(known, followed=known.followed.by(changed))
             return at, None, True
