@@ -532,6 +532,28 @@ def test_pictures_are_right_in_light_that_is_another_in_each_frame(kind, waves, 
         assert np.mean(held) > 0.9
 
 
+@pytest.mark.parametrize("copied", [True, False])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_frame_that_comes_twice_is_no_loss(seed, copied):
+    """Each was said to come after lost ones, and after the place before them."""
+    truth, rng = scene(seed).truth, np.random.default_rng(seed)
+    one, clean = camera(), clean_frames(truth)
+    noisy = [clean[k % 4] + 0.01 * rng.standard_normal(SHAPE) for k in range(10 + seed)]
+    for frame in noisy:
+        one.step(frame)
+    last = (len(noisy) - 1) % 4
+    again = noisy[-1] if copied else clean[last] + 0.01 * rng.standard_normal(SHAPE)
+    with pytest.warns(QualityWarning, match=f"a frame of place {last} came twice"):
+        found = one.step(again)
+    assert found.settings["event"] == "frame twice"
+    after = run(one, clean, 9, sigma=0.01, rng=rng, first=last + 1)
+    assert {found.settings["event"] for found in after} == {None}
+    after_place = (last + 9) % 4
+    with pytest.warns(QualityWarning, match=f"the one after place {after_place} is of"):
+        found = run(one, clean, 1, sigma=0.01, rng=rng, first=after_place + 2)[0]
+    assert found.settings["event"] == "frames lost"
+
+
 @pytest.mark.filterwarnings("ignore::lensshift.core.errors.QualityWarning")
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("waves", [True, False])

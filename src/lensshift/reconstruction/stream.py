@@ -131,7 +131,7 @@ class Stream:
 
         Its settings say what was done: `pace` "live" (that of before, as bright and as far away as
         the frames since show it) or "refined" (`reconstruct`), `places` of the frames in it, and
-        `event` since the last one: "scene changed", "frames lost" or None.
+        `event` since the last one: "scene changed", "frames lost", "frame twice" or None.
         """
         round_ends = self._since_refined + 1 >= REFINED_ROUNDS * self._template.frame_count
         # Until all frames are of after something moved, or it was not that.
@@ -240,8 +240,13 @@ class Stream:
             asked_of = (at, best) if known.fits else others
             best = min(asked_of, key=others.__getitem__)
         if best != at:
-            self._warn(f"frames were lost: the one after place {self._next} is of {best}")
             self._claim = self._claim or Claim(known, {}, at).also(frame)
+            last = self.frames[-1]
+            if best == last and count > 2:  # of two places the other one is as likely lost
+                lost = f"the lens stood still, or {count - 1} frames were lost"
+                self._warn(f"a frame of place {last} came twice, {lost}: it is in the picture once")
+                return best, "frame twice", False
+            self._warn(f"frames were lost: the one after place {last} is of {best}")
             return best, "frames lost", False
         if share > MOST:
             self._warn("the scene changed: what was seen before is left out")
@@ -267,8 +272,9 @@ def stream(
 
     The last frame of each place of the plan is in the picture. A frame that most of the picture
     contradicts begins a new one ("scene changed"); one that fits another place of the plan goes
-    there ("frames lost"). While the scene rests a new frame is followed in closed form
-    (`lensshift.reconstruction.following`); if it contradicts the picture, all is computed anew.
+    there ("frames lost", or "frame twice" where it is the last one's). While the scene rests a new
+    frame is followed in closed form (`lensshift.reconstruction.following`); if it contradicts the
+    picture, all is computed anew.
 
     Parameters
     ----------
