@@ -165,6 +165,7 @@ def _search(
     free = np.setdiff1d(np.arange(kinds * len(frames)), kinds * reference + np.arange(kinds))
     freed, converged, lost, step = 0, False, False, np.zeros((len(frames), kinds))
     curvature: Curvature | None = None
+    damping = 1.0
     for iteration in range(max_iterations):
         tapered = taper(state.offset_px, expected=tapered.expected)
         passes = _SPECTRUM_PASSES if iteration == 0 else 1
@@ -178,9 +179,10 @@ def _search(
         largest_px = float(np.abs(step[:, :2]).max())
         # Where the frames say little, a step means little.
         told = float(np.max(np.abs(change) / np.sqrt(np.maximum(np.diag(spread), 1e-30))))
-        if np.sum(step * before) < 0.0:  # to and fro: the frames are surer than the model
-            step *= 0.5
-        step *= min(1.0, MAX_STEP_PX / max(largest_px, 1e-300))
+        # To and fro: the frames are surer than the model. By half each time, as at a quarter of
+        # their curvature half a step swings for ever.
+        damping = 0.5 * damping if np.sum(step * before) < 0.0 else min(1.0, 2.0 * damping)
+        step *= damping * min(1.0, MAX_STEP_PX / max(damping * largest_px, 1e-300))
         # 1 px more than a taper needs: curvatures, and searches from elsewhere, begin beside it.
         lost = not share_enough(frames.shape[1:], state.offset_px + step[:, :2], 1.0)
         if lost:

@@ -212,7 +212,9 @@ class Spectrum:
             information[1, 2] += weight @ mixed
         information += np.triu(information, 1).T
         step = np.linalg.pinv(information, hermitian=True) @ score
-        step = np.clip(step, -1.0, 1.0)
+        # The whole step is shortened: level and exponent go together, and a step that is cut in one
+        # of them alone leaves the likelihood worse, to and fro without end.
+        step *= min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-300))
         moved = replace(
             self,
             log_level=self.log_level + float(step[0]),
