@@ -23,8 +23,8 @@ class _RegisterOptions:
     motion: Literal["auto", "shift", "affine"] = option(
         "auto", "affine: frames also turn, grow and shear; auto: if they show it; shift: never."
     )
-    channel: Literal["amplitude", "distance"] = option(
-        "amplitude", "What the shifts are found from."
+    channel: Literal["auto", "amplitude", "distance", "phasor"] = option(
+        "auto", "What the shifts are found from; auto: phasors where the burst tells them."
     )
     reference: int = option(0, "Frame whose offset is kept.", min=0)
     photometric: bool = option(False, "Allow frames to differ by a factor and a constant.")

@@ -14,6 +14,7 @@ from lensshift.core.arrays import Array
 from lensshift.core.errors import DataError
 from lensshift.core.lens_field import LensField
 from lensshift.core.optical import gaussian_width
+from lensshift.core.phasors import has_phasors, phasor_frames
 from lensshift.core.types import Burst, Reconstruction
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.reconstruction.clipping import silent_pixels
@@ -195,18 +196,10 @@ def _for_people(values: Array) -> bool:
     return bool(different <= BYTES and different < ALL_DIFFER * some.size)
 
 
-def has_phasors(part: Burst) -> bool:
-    """Tell whether the phasors of frames with distances are known, or follow from these."""
-    if part.phasors is not None:
-        return True
-    dark = np.any(part.amplitude[part.valid] < 0)  # less than none, as of background taken off
-    return len(part.frequencies_hz) == 1 and not dark
-
-
 def averaged(part: Burst, channel: str) -> Array:
     """Return frames [frame row col] whose pixels average a scene: of phasors these."""
     if channel == "phasor" and part.phasors is not None:
-        return np.asarray(part.phasors[int(np.argmax(part.frequencies_hz))])
+        return phasor_frames(part)
     return polar_frames(part).phasor if channel == "phasor" else part.amplitude
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning
+from lensshift.core.phasors import has_phasors
 from lensshift.core.types import Burst, ShiftField
 from lensshift.reconstruction.glance import Glance, glance
 from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
@@ -17,7 +18,7 @@ from lensshift.reconstruction.learned.pattern import without_pattern
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.phasor.choice import Choice
 from lensshift.reconstruction.phasor.rounding import differ_by_rounding
-from lensshift.reconstruction.pixel_response import averaged, has_phasors
+from lensshift.reconstruction.pixel_response import averaged
 from lensshift.reconstruction.quick_shifts import found_variance_px2
 from lensshift.reconstruction.shift_check import (
     STILL,

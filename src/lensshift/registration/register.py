@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.core.defects import blank_frames, doubts_about_frames, repeated_frame, stuck_pixels
 from lensshift.core.errors import warn_quality
+from lensshift.core.phasors import has_phasors, phasor_frames
 from lensshift.core.types import Burst, expect_burst
 from lensshift.registration import blocks
 from lensshift.registration.affine import affine_motion, turning
@@ -24,7 +25,7 @@ from lensshift.registration.picture import LEAST_FRAMES, LEAST_PREDICTING, bette
 Method = Literal["auto", "gradient", "phase"]
 Motion = Literal["auto", "shift", "affine"]
 METHODS: tuple[Method, ...] = ("auto", "gradient", "phase")
-Channel = Literal["amplitude", "distance"]
+Channel = Literal["auto", "amplitude", "distance", "phasor"]
 Run = Callable[..., ShiftFit]
 
 POOR_SIGMA_PX = 0.05  # more than twice the budget of a calibration
@@ -38,7 +39,7 @@ def register(
     *,
     method: Method = "auto",
     reference: int = 0,
-    channel: Channel = "amplitude",
+    channel: Channel = "auto",
     motion: Motion = "auto",
     photometric: bool = False,
     use_given: bool = False,
@@ -56,7 +57,9 @@ def register(
     reference : number of the frame whose offset is kept; the others are relative to it, and so
         are the standard errors, which are 0 there. Where no offset is known, their mean is 0.
         A frame that shows less than half of what others do is none: the next one that does
-    channel : "amplitude" (complex phasors are used whole) or "distance"
+    channel : "amplitude", "distance" or "phasor", which pixels average where they see two
+        distances; "auto": phasor if distances of one modulation frequency, or the phasors
+        themselves, are there, else amplitude (complex frames are used whole)
     motion : "affine": frames also turn, grow and shear against the reference, which `reconstruct`
         then allows for (method "auto", four frames and more); "auto": if they show that they do;
         "shift": never
@@ -87,10 +90,10 @@ def register(
     if len(kept) < burst.frame_count:
         burst, frames = burst.select(kept.tolist()), frames[kept]
         reference = int(np.searchsorted(kept, reference)) % len(kept)
-    stuck = None if np.iscomplexobj(frames) else stuck_pixels(frames, burst.valid)
+    stuck = stuck_pixels(np.abs(frames) if np.iscomplexobj(frames) else frames, burst.valid)
     valid = burst.valid if stuck is None else burst.valid & ~stuck
     doubts = [repeated_frame(frames)]
-    if channel == "amplitude":
+    if channel != "distance":
         doubts += doubts_about_frames(frames, valid, photometric=photometric)
     for said in filter(None, doubts):
         warn_quality(said)
@@ -177,9 +180,20 @@ def _of_all(burst: Burst, kept: NDArray[np.intp], found: dict[str, Any]) -> dict
 
 def frames_of(burst: Burst, channel: str) -> Array:
     """Return the frames of a channel in double precision."""
-    if channel not in ("amplitude", "distance"):
-        raise ValueError(f'expected channel "amplitude" or "distance", got {channel!r}')
-    frames = burst.amplitude if channel == "amplitude" else burst.distance_m
+    if channel not in get_args(Channel):
+        raise ValueError(
+            f"expected a channel among {', '.join(get_args(Channel))}, got {channel!r}"
+        )
+    frames: Array | None = burst.amplitude
+    if channel == "distance":
+        frames = burst.distance_m
+    elif channel != "amplitude" and has_phasors(burst):
+        frames = phasor_frames(burst)
+    elif channel == "phasor":
+        raise ValueError(
+            "the burst has no phasors, nor distances of one modulation_hz with amplitudes of at "
+            "least 0; expected channel amplitude"
+        )
     if frames is None:
         raise ValueError("the burst has no distance_m; expected channel amplitude")
     return frames.astype(np.complex128 if frames.dtype.kind == "c" else np.float64)

@@ -13,6 +13,7 @@ import numpy as np
 from lensshift.core.arrays import Floats, Mask
 from lensshift.core.errors import QualityWarning
 from lensshift.core.order import median
+from lensshift.core.phasors import from_polar
 from lensshift.core.types import Burst, Estimate, Status
 from lensshift.core.units import PhaseScale, distance_to_phase
 from lensshift.forward.prediction import (
@@ -30,7 +31,7 @@ from lensshift.reconstruction.learned.unseen import LEAST_SEEN, share_seen, with
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import ESTIMATED
 from lensshift.reconstruction.phasor.flying import flying_pixels
-from lensshift.reconstruction.phasor.frames import PolarFrames, from_polar, polar_frames
+from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, doubt_about_phases
 from lensshift.reconstruction.phasor.reach import within_reach
 from lensshift.reconstruction.phasor.rounding import Steps

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Array, Floats
 from lensshift.core.order import median
+from lensshift.core.phasors import from_polar
 from lensshift.core.types import Burst
 from lensshift.core.units import (
     SPEED_OF_LIGHT_MPS,
@@ -100,14 +101,6 @@ class PolarFrames:
             self.amplitude, self.phase_rad + self.scale.rad_per_m * self.scale.reference_m
         )
         return np.stack([z.real, z.imag])
-
-
-def from_polar(amplitude: Array, phase_rad: Array) -> NDArray[np.complex128]:
-    """Return A exp(i phi); of the two parts, it costs half as much."""
-    phasor = np.empty(np.shape(phase_rad), np.complex128)
-    np.multiply(amplitude, np.cos(phase_rad), out=phasor.real)
-    np.multiply(amplitude, np.sin(phase_rad), out=phasor.imag)
-    return phasor
 
 
 def polar_frames(burst: Burst) -> PolarFrames:
