@@ -132,7 +132,8 @@ def fit_scan(
     drift, drift_sigma = 2 * [np.zeros(2)] if time_s is None else (found[-2], sigma[-2])
     scale = len(residual) / max(len(residual) - design.shape[1], 1)
     sigma_px = float(np.sqrt(np.mean(residual**2) * scale))
-    _warn(sigma_px, matrix, sigma[:2].T)
+    told_px2 = np.diagonal(known_px2).reshape(-1, 2).mean(axis=0)
+    _warn(sigma_px, matrix, sigma[:2].T, blind=told_px2 > 0.5 * np.mean(residual**2, axis=0))
     if lens_field is not None and bent is not None:
         lens_field, matrix = _refined(lens_field, bent, matrix)
         bent = None
@@ -333,16 +334,17 @@ def _play(found: Floats, covariance: Floats, turns: Mask) -> tuple[Floats, Float
     return play, play_sigma
 
 
-def _warn(sigma_px: float, matrix: Floats, matrix_sigma: Floats) -> None:
+def _warn(sigma_px: float, matrix: Floats, matrix_sigma: Floats, *, blind: Mask) -> None:
+    """Warn of a poor calibration; `blind` [2]: what frames tell of their shifts explains it."""
     if sigma_px > BUDGET_PX:
         warn_quality(
             f"the calibration leaves {sigma_px:.3f} px rms unexplained (want {BUDGET_PX} px); does "
             "the stage repeat, did the scene stand still?",
             3,
         )
-    for row, name in zip(matrix_sigma, ("row", "col"), strict=True):
+    for row, name, unseen in zip(matrix_sigma, ("row", "col"), blind, strict=True):
         share = float(np.linalg.norm(row) / np.linalg.norm(matrix))
-        if share > _BLIND_SHARE:
+        if unseen and share > _BLIND_SHARE:
             warn_quality(
                 f"the scan tells shifts along {name} to {100 * share:.0f} % only: the scene has "
                 "too little texture; put a chart with edges in several directions there",
