@@ -310,9 +310,25 @@ def test_one_stage_for_both_axes(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("glance")
-def test_rest_at_the_end_of_the_way(tmp_path: Path) -> None:
-    done = examined(tmp_path, calibration={"rest_mm": [3.0, 5.98]})
+@pytest.mark.parametrize("rest_mm", [[3.0, 5.98], [0.03, 3.0]])
+def test_rest_at_the_end_of_the_way(tmp_path: Path, rest_mm: list[float]) -> None:
+    """Far from where the lens stood the scene may be out of view, and pass for a blocked stage."""
+    done = examined(tmp_path, calibration={"rest_mm": rest_mm})
     assert verdict(done) == "FAULT limit"
+
+
+def test_a_short_travel_is_scanned_as_far_as_it_goes(tmp_path: Path) -> None:
+    """A piezo has 0.3 mm or less, where 1.7 px of the usual lens are 0.302 mm."""
+    low, high = 2.88, 3.1
+    done = examined(tmp_path, stage={"travel_mm": [low, high]})
+    assert done.level is Level.NOTE, done.verdict
+    assert done.calibration is not None
+    found = done.calibration.calibration
+    places = np.asarray(done.calibration.fit.burst.stage_commanded_mm)
+    assert places.max() == pytest.approx(high)
+    assert places.min() >= low
+    error = found.stage_map.px_per_mm - NOMINAL * np.eye(2)
+    assert np.all(np.abs(error) < 4.0 * np.asarray(found.px_per_mm_sigma))
 
 
 @pytest.mark.usefixtures("glance")

@@ -17,6 +17,7 @@ import numpy as np
 from lensshift.capture.acquire import Progress, acquire_at, check_travel
 from lensshift.capture.opening import RigFile, read_rig
 from lensshift.capture.rig import Camera, OnHoming, Stage
+from lensshift.core.arrays import Floats
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, DeviceError, QualityWarning
 from lensshift.core.motion import StageMap
@@ -48,6 +49,7 @@ from lensshift.registration.calibrate import BUDGET_PX
 from lensshift.registration.scan import USUAL_STEPS
 
 _SCAN_PX = 1.7  # as `pipeline.rig`
+_BURST_PX = 0.5  # from one end of a burst to the other: a travel of less is of no use
 _BYTES_PER_PIXEL = 64  # of a record of a journal, raw data of the camera and all; rather more
 _WARM_CELSIUS = 0.5  # worth a word
 _TOLD_DRIFT_SIGMAS = 4.0  # drift by less may be chance
@@ -224,18 +226,16 @@ def _calibrated(
     done.averages = averages = int(np.clip(np.ceil(needed), LEAST_AVERAGES, MOST_AVERAGES))
     _room_for(scan_file, averages, camera)
     settings = replace(told.acquisition, frames=averages, average=True)
+    _scan_mm(stage, told.calibration)  # a rest that is too near to a limit shows before it moves
     say("nudging each axis by 50 um", None)
     done.axes = nudge(stage, camera, told.calibration, settings)
     done.findings += nudge_findings(done.axes, done.view.sigma_px / np.sqrt(averages))
     if done.level == Level.FAULT:
         return
     rough = Calibration(StageMap(done.axes.px_per_mm), told.calibration.rest_mm)
-    row_mm, col_mm = _SCAN_PX / done.axes.gain_px_per_mm
-    places = calibration_scan_mm(rough.rest_mm, (row_mm, col_mm), steps=USUAL_STEPS)
-    check_travel(stage, places)
     scan = acquire_at(
-        stage, camera, places, rough, scan_file, settings, direct=True, plan_name="scan",
-        on_step=lambda now: say("scan", now),
+        stage, camera, _scan_mm(stage, rough), rough, scan_file, settings, direct=True,
+        plan_name="scan", on_step=lambda now: say("scan", now),
     )  # fmt: skip
     done.files.append(scan_file)
     say("calibrating", None)
@@ -249,6 +249,24 @@ def _calibrated(
     done.findings += map_findings(done.axes, told.calibration)
     done.budget = error_budget(done.calibration, reading_mm / np.sqrt(averages))
     done.findings += _budget_findings(done.calibration, done.budget)
+
+
+def _scan_mm(stage: Stage, rough: Calibration) -> Floats:
+    """Return the positions of a scan about rest, as far as the travel goes.
+
+    ValueError with the first one out of travel if that is not as far as the positions of a burst.
+    """
+    rest_mm = np.asarray(rough.rest_mm)
+    low_mm, high_mm = np.asarray(stage.travel_mm).T
+    gain = np.linalg.norm(rough.stage_map.px_per_mm, axis=0)
+    room_mm = 2.0 * np.minimum(rest_mm - low_mm, high_mm - rest_mm)
+    row_mm, col_mm = np.maximum(np.minimum(_SCAN_PX / gain, room_mm), _BURST_PX / gain)
+    places = calibration_scan_mm(rest_mm, (row_mm, col_mm), steps=USUAL_STEPS)
+    # By rounding alone an end may lie beyond.
+    nearby = np.clip(places, low_mm, high_mm)
+    places = np.where(np.abs(places - nearby) < 1e-9 * (high_mm - low_mm), nearby, places)
+    check_travel(stage, places)
+    return places
 
 
 def _room_for(path: Path, averages: int, camera: Camera) -> None:
