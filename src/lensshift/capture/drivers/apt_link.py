@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 import warnings
@@ -59,7 +60,9 @@ class AptLink:
                 exclusive=True,
             )  # fmt: skip
         except (OSError, ValueError) as error:
-            raise DeviceError(f"cannot be opened ({error})", device=port, command="open") from error
+            number = getattr(error, "errno", None)  # pyserial names the port anew
+            why = os.strerror(number) if number is not None else error
+            raise DeviceError(f"cannot be opened ({why})", device=port, command="open") from error
         self._alive = True
         # FTDI chips keep short replies back for 16 ms unless told; other ports cannot be told.
         with suppress(AttributeError, NotImplementedError, OSError, ValueError):
