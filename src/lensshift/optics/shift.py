@@ -23,9 +23,8 @@ NEAR = 1e-5  # of a pixel; the offset changes by less than 1e-7 px over it
 _INVERSE_STEPS = 12  # each divides the error by what is not linear in a shift, 100 and more
 _INVERSE_PX = 1e-9  # far below any error of a shift
 _LEAST_GAIN = 1e-6  # mm per mm: a window has none but rounding
-_PROBE = (
-    1.0 / 400.0
-)  # of the stop: a decentre over which a stage map is linear to parts in a million
+# Of the stop, a decentre over which a stage map is linear to parts in a million.
+_PROBE = 1.0 / 400.0
 
 
 def shift_map(
