@@ -13,6 +13,7 @@ from lensshift.core.types import Estimate, Status
 from lensshift.reconstruction.learned.behind_spots import wider_behind_spots
 from lensshift.reconstruction.learned.belief import as_predicted, refuted
 from lensshift.reconstruction.learned.finer import finer_grid, of_larger_pixels, seen_finer
+from lensshift.reconstruction.learned.harmonics import as_bars
 from lensshift.reconstruction.learned.noise import noise_map, rounded_std, tells_little
 from lensshift.reconstruction.learned.phasors import finished, with_finer_amplitude
 from lensshift.reconstruction.learned.residual import less_noise
@@ -49,6 +50,7 @@ def auto(problem: Problem, request: Request) -> Estimate:
     found, std = solved(problem, noise, request)
     std = std * wider_behind_spots(problem, noise)
     found, std = with_gaps(problem, found, std)
+    std = as_bars(found.image, std, blur_width_px(problem.model.blur), problem.scale)
     if std.ndim == 3:  # of a complex picture, that of a component
         std = np.sqrt(np.mean(std**2, axis=0))
     std = np.hypot(std, rounded_std(problem, law))
