@@ -13,9 +13,14 @@ from lensshift import reconstruct
 from lensshift.core.units import distance_to_phase
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
+from lensshift.reconstruction.learned.opinions import (
+    PHASE_STD_SCALE,
+    TRUST,
+    amplitude_of_both,
+    phase_of_both,
+)
 from lensshift.reconstruction.learned.phasors import (
     LOW_PASS_PX,
-    _mixed,
     _second_amplitude,
     _second_phase,
     mean_hr_px,
@@ -101,10 +106,10 @@ def test_the_frames_say_which_phases_are_right(spoilt: bool) -> None:
     asked = asked_of(0.7 * np.exp(1j * right), 0.005)
     first, other = (right, soft) if spoilt else (soft, right)
     image = 0.7 * np.exp(1j * first)
-    twist, _ = _second_phase(
+    phase, _ = _second_phase(
         asked, image, np.full(right.shape, 0.01), 2, lambda _: solution(other, 0.01)
     )
-    np.testing.assert_allclose((first + twist)[INSIDE], right[INSIDE], atol=0.03)
+    np.testing.assert_allclose(phase[INSIDE], right[INSIDE], atol=0.03)
 
 
 @pytest.mark.parametrize("dark", [0.05, 1.0])
@@ -121,36 +126,53 @@ def test_frames_of_a_right_picture_are_means_of_its_phases_whatever_their_light(
         seen.append(given)
         return solution(phase, 0.01)
 
-    twist, std = _second_phase(
-        asked, light * np.exp(1j * phase), np.full(phase.shape, 1e3), 2, as_asked
+    mean, std = _second_phase(
+        asked, light * np.exp(1j * phase), np.full(phase.shape, 0.01), 2, as_asked
     )
     A = asked.model.operator
     np.testing.assert_allclose(seen[0].y, A(phase), atol=1e-5)
     np.testing.assert_allclose(seen[0].sigma, 0.002 / np.abs(asked.y), rtol=1e-4)
-    np.testing.assert_allclose(twist, 0.0, atol=1e-9)
-    # Twice the other's, as a picture that knows nothing is as likely; more where light differs.
+    np.testing.assert_allclose(mean, phase, atol=1e-9)
     at_step = np.abs(step - 0.5) < 0.29
     beside = ~binary_dilation(at_step, iterations=4)
-    np.testing.assert_allclose(std[beside], np.sqrt(2) * 0.01, rtol=0.02)
-    assert (np.median(std[at_step]) > 0.1) == (dark < 1)
+    assert (np.median(std[at_step]) > 1.1 * np.median(std[beside])) == (dark < 1)
 
 
 def test_phases_that_lie_a_turn_apart_are_one() -> None:
     phase = np.full((50, 76), 3.1)
     asked = asked_of(np.exp(1j * (phase + 0.05)), 0.01)
-    twist, _ = _second_phase(
+    mean, _ = _second_phase(
         asked, np.exp(1j * phase), np.full(phase.shape, 1e3), 2,
         lambda _: solution(phase - 2 * np.pi + 0.05, 0.01),
     )  # fmt: skip
-    np.testing.assert_allclose(twist, 0.05, atol=1e-4)
+    np.testing.assert_allclose(mean, phase + 0.05, atol=1e-4)
 
 
-def test_two_models_that_fit_alike_count_as_they_are_sure_and_tell_their_difference() -> None:
-    mean, std = _mixed(*(np.array([n]) for n in (0.9, 1.1, 0.5, 0.3**2, 0.1**2)))
-    assert mean == pytest.approx(0.1 * 0.9 + 0.9 * 1.1)
-    assert std == pytest.approx(np.sqrt(0.1 * 0.3**2 + 0.9 * 0.1**2 + 0.9 * 0.1 * 0.2**2))
-    likely, _ = _mixed(*(np.array([n]) for n in (0.9, 1.1, 0.9, 0.2**2, 0.2**2)))
+def test_two_amplitudes_count_as_they_are_sure_and_likely_and_tell_their_difference() -> None:
+    mean, std = amplitude_of_both(*(np.array([n]) for n in (0.9, 1.1, 0.3, 0.1, 0.0)))
+    assert mean == pytest.approx(0.25 * 0.9 + 0.75 * 1.1)
+    assert std == pytest.approx(np.sqrt(0.25 * 0.3**2 + 0.75 * 0.1**2 + 0.25 * 0.75 * 0.2**2))
+    nine_to_one = np.log(9.0) / TRUST
+    likely, _ = amplitude_of_both(*(np.array([n]) for n in (0.9, 1.1, 0.2, 0.2, nine_to_one)))
     assert likely == pytest.approx(0.1 * 0.9 + 0.9 * 1.1)
+
+
+def test_two_phases_count_as_they_are_sure_and_likely_whatever_the_unit() -> None:
+    def weight_and_std(first_rad: float, bias_rad: float, evidence: float, of: float = 1.0):
+        facts = (0.1 * of, 0.3 * of, first_rad * of, 0.05 * of, bias_rad * of, evidence)
+        mean, std = phase_of_both(*(np.array([n]) for n in facts))
+        return (mean[0] / of - 0.1) / 0.2, std[0] / of
+
+    alike, std = weight_and_std(0.05, 0.05, 0.0)
+    assert alike == pytest.approx(0.5, abs=1e-3)
+    assert 0.5 < std / (0.05 * PHASE_STD_SCALE) < 1.0  # a mean of two is surer than each
+    assert weight_and_std(0.1, 0.05, 0.0)[0] == pytest.approx(0.8, abs=1e-3)
+    assert weight_and_std(0.05, 0.2, 0.0)[0] < 0.4  # phases that are no means of phases
+    assert weight_and_std(0.05, 0.05, 30.0)[0] > 0.95
+    assert weight_and_std(0.05, 0.05, -30.0)[0] < 0.05
+    np.testing.assert_allclose(
+        weight_and_std(0.1, 0.2, 3.0, of=10.0 / np.pi), weight_and_std(0.1, 0.2, 3.0), rtol=1e-3
+    )
 
 
 @pytest.mark.parametrize("scale", [2, 3])

@@ -463,8 +463,9 @@ def test_std_of_a_scene_that_rests_stays():
         one = camera(pace="live", modulation_hz=15e6)
         found = run(one, clean_frames(kind), 20, sigma=0.02, rng=np.random.default_rng(3))
         for name, last in found[-1].channels.items():
-            grown = np.sqrt(np.mean(last.std**2) / np.mean(found[3].channels[name].std ** 2))
-            assert 0.99 < grown < 1.05
+            # Phases of two pictures draw apart by a few per cent in the first round.
+            settled = np.mean(found[7].channels[name].std ** 2)
+            assert 0.97 < np.sqrt(np.mean(last.std**2) / settled) < 1.03
 
 
 def test_gains_of_the_frames_and_a_least_of_zero_hold_for_what_follows():

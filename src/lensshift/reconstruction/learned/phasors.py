@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from lensshift.core.arrays import Array, Floats
 from lensshift.core.local_means import gaussian_around, mean_around
@@ -23,6 +22,7 @@ from lensshift.core.units import within_half_a_turn
 from lensshift.forward.operator import LinearOperator, mean_seen, single
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX, WINDOW_PX, slopes_of
 from lensshift.reconstruction.learned.finer import means, seen_finer, std_of_means
+from lensshift.reconstruction.learned.opinions import amplitude_of_both, phase_of_both
 from lensshift.reconstruction.learned.pooling import pooled_phase
 from lensshift.reconstruction.learned.solver import Asked, Solution
 from lensshift.reconstruction.problem import LEAST_SHARE_OF_LIGHT
@@ -64,9 +64,8 @@ def finished(
     own, shared = (np.minimum(part / size, NO_PHASE_RAD) for part in (across, of_means))
     phase, of_phase = pooled_phase(image, along, own, shared, mean_hr_px(scale))
     image = size * np.exp(1j * phase)
-    twist, of_phase = _second_phase(asked, image, of_phase, scale, solve)
-    image = image * np.exp(1j * twist)
-    return replace(found, image=image, std=np.stack([along, of_phase * size]))
+    phase, of_phase = _second_phase(asked, image, of_phase, scale, solve)
+    return replace(found, image=size * np.exp(1j * phase), std=np.stack([along, of_phase * size]))
 
 
 def with_finer_amplitude(
@@ -85,9 +84,9 @@ def with_finer_amplitude(
     b = np.maximum(means(light.image), LEAST_LEFT * a)
     unit = found.image / np.maximum(a, TINY)
     seen = turn * finer.model.operator.forward(single(light.image))
-    p = _odds(asked, found.image, unit * b, scale, seen)
-    mixed, along = _mixed(a, b, p, found.std[0] ** 2, std_of_means(light.std) ** 2)
-    return replace(found, image=mixed * unit, std=np.stack([along, found.std[1]]))
+    evidence = _evidence(asked, found.image, unit * b, scale, seen)
+    mean, along = amplitude_of_both(a, b, found.std[0], std_of_means(light.std), evidence)
+    return replace(found, image=mean * unit, std=np.stack([along, found.std[1]]))
 
 
 def with_means_of(
@@ -129,9 +128,9 @@ def _second_amplitude(
     light = solve(_along(asked, image)[0])
     a = np.abs(image)
     b = np.maximum(light.image, LEAST_LEFT * a)
-    p = _odds(asked, image, image * (b / np.maximum(a, TINY)), scale)
-    mixed, std = _mixed(a, b, p, std**2, light.std**2)
-    return mixed / np.maximum(a, TINY), std
+    evidence = _evidence(asked, image, image * (b / np.maximum(a, TINY)), scale)
+    mean, std = amplitude_of_both(a, b, std, light.std, evidence)
+    return mean / np.maximum(a, TINY), std
 
 
 def _along(asked: Asked, image: Array) -> tuple[Asked, Array]:
@@ -145,14 +144,14 @@ def _along(asked: Asked, image: Array) -> tuple[Asked, Array]:
 def _second_phase(
     asked: Asked, image: Array, std_rad: Array, scale: int, solve: Callable[[Asked], Solution]
 ) -> tuple[Floats, Floats]:
-    """Return by what phases differ in the mean over two pictures, and their std in radians.
+    """Return the phases of two pictures in one, and their std in radians.
 
         theta = A phi + arg(y / A x),   s_theta = s / |A x|
-        t_z^2 = (t^2 + scale^4 beta^2) (A^T |A x| / A^T 1 / |x|)^2,   beta = arg(A x) - A phi
+        b^2 = scale^4 A^T beta^2 / A^T 1,   beta = arg(A x) - A phi
 
     The phase of a mean is no mean of phases: by how much, beta, the picture tells, so frames are
     brought to what they would be if it were. That holds as far as the picture is right. An HR pixel
-    is 1 / scale^2 of what an LR pixel sees, and less if it is darker than what is around.
+    is 1 / scale^2 of what an LR pixel sees.
     """
     A, used = asked.model.operator, np.isfinite(asked.sigma)
     a, phase = np.abs(image), np.angle(image)
@@ -161,35 +160,18 @@ def _second_phase(
     light = np.maximum(np.abs(seen), max(least, TINY))
     theta = mean + np.where(used, np.angle(asked.y * seen.conj()), 0.0)
     other = solve(replace(asked, y=theta, sigma=asked.sigma / light, general=True))
-    every = np.ones(light.shape, np.float32)
     bias = within_half_a_turn(np.angle(seen) - mean)
-    bias_2, around = (mean_seen(A, single(values), every) for values in (bias**2, light))
-    share = np.clip(a / np.maximum(around, TINY), LEAST_LEFT, 1.0)
-    variance = (other.std**2 + scale**4 * bias_2) / share**2
-    apart = within_half_a_turn(other.image - phase)
-    p = _odds(asked, image, image * np.exp(1j * apart), scale)
-    return _mixed(np.zeros_like(apart), apart, p, std_rad**2, variance)
+    bias = scale**2 * np.sqrt(mean_seen(A, single(bias**2), np.ones(light.shape, np.float32)))
+    evidence = _evidence(asked, image, a * np.exp(1j * other.image), scale)
+    return phase_of_both(phase, other.image, std_rad, other.std, bias, evidence)
 
 
-def _mixed(x: Array, z: Array, p: Array, of_x: Array, of_z: Array) -> tuple[Floats, Floats]:
-    """Return the mean over two models, the second as likely as p, and its std.
-
-        x' = (1 - w) x + w z,   w = p / t_z^2 / (p / t_z^2 + (1 - p) / t_x^2)
-        t'^2 = (1 - w) t_x^2 + w t_z^2 + w (1 - w) (x - z)^2
-
-    Each counts as it is sure; both explain what the frames do not tell apart.
-    """
-    w = p * of_x / np.maximum(p * of_x + (1 - p) * of_z, 1e-300)
-    variance = (1 - w) * of_x + w * of_z + w * (1 - w) * (x - z) ** 2
-    return (1 - w) * x + w * z, np.sqrt(variance)
-
-
-def _odds(
+def _evidence(
     asked: Asked, first: Array, second: Array, scale: int, seen: Array | None = None
-) -> Array:
-    """Return [row col] the probability of the second picture, by what the frames around say.
+) -> Floats:
+    """Return [row col] by how much the logarithm of the likelihood of a second picture is larger.
 
-        p = 1 / (1 + exp((Q_2 - Q_1) / 2)),   Q = sum |y - A x|^2 / s^2
+        (Q_1 - Q_2) / 2,   Q = sum |y - A x|^2 / s^2
 
     over a window of all frames, s^2 with what shifts may be off.
 
@@ -202,8 +184,9 @@ def _odds(
     contrast = np.maximum(*(slopes_of(A, picture, scale)[1] for picture in pictures))
     variance = np.where(used, asked.sigma, np.inf) ** 2 + ALLOWED_SHIFT_PX**2 / 2 * contrast
     views = A.forward(pictures[0]), A.forward(pictures[1]) if seen is None else seen
-    squares = (np.abs(asked.y - view) ** 2 / 2 / variance for view in views)
-    apart = np.subtract(*(np.where(used, square, 0.0).sum(axis=0) for square in squares))
-    around = WINDOW_PX**2 * mean_around(apart, WINDOW_PX, zeros=True)
-    odds = single(np.broadcast_to(expit(around / 2), used.shape))
-    return np.asarray(mean_seen(A, odds, single(used)), np.float64)
+    sums = []
+    for view in views:
+        square = np.abs(asked.y - view) ** 2 / 2 / variance
+        around = mean_around(np.where(used, square, 0.0).sum(axis=0), WINDOW_PX, zeros=True)
+        sums.append(mean_seen(A, single(np.broadcast_to(around, used.shape)), single(used)))
+    return np.asarray(WINDOW_PX**2 / 2 * (sums[0] - sums[1]), np.float64)

@@ -24,6 +24,7 @@ from lensshift.forward.prediction import (
 )
 from lensshift.reconstruction.classical import Tikhonov, Tv
 from lensshift.reconstruction.learned.behind_spots import wider_behind_spots
+from lensshift.reconstruction.learned.harmonics import as_bars
 from lensshift.reconstruction.learned.method import solved
 from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.phasors import NO_PHASE_RAD
@@ -36,14 +37,11 @@ from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, 
 from lensshift.reconstruction.phasor.reach import within_reach
 from lensshift.reconstruction.phasor.rounding import Steps
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
-from lensshift.reconstruction.problem import Problem, make_problem, predictor
+from lensshift.reconstruction.problem import Problem, blur_width_px, make_problem, predictor
 
 METHODS = ("auto", "tikhonov", "tv")
 # Of the pixels: with more of them turned a picture is not shown without a warning.
 TURNED_LIMIT = 0.01
-# So that two std hold 95.45 % of the truth on mosaics of seeds that no test and no report uses
-# (training/validate.py --phasor --calibrate); that of the phase would be 0.8 and is left wider.
-AMPLITUDE_STD_SCALE = 0.74
 # Gains are estimated of real frames, which costs the distance where there are but phasors.
 DIVIDED = "divide amplitudes, or phasors, by the exposure of their frame"
 
@@ -194,8 +192,9 @@ def _check(method: str, request: Request) -> None:
 def _learned(problem: Problem, sigma: Floats, request: Request) -> Estimate:
     """Return the complex picture with the std [2 row col] of amplitude and phase in radians."""
     found, std = solved(problem, sigma, request)
-    std[0] *= AMPLITUDE_STD_SCALE * wider_behind_spots(problem, sigma)
+    std[0] *= wider_behind_spots(problem, sigma)
     found, std = with_gaps(problem, found, std)
+    std = as_bars(found.image, std, blur_width_px(problem.model.blur), problem.scale)
     amplitude = np.abs(found.image)
     of_phase_rad = np.minimum(std[1] / np.maximum(amplitude, 1e-12), NO_PHASE_RAD)
     phase_rad, of_phase_rad = within_reach(
