@@ -258,7 +258,7 @@ def test_a_traced_lens_darkens_by_its_stop_and_its_edge(
     np.testing.assert_allclose(seen / seen[12], expected, atol=near_bend)
 
 
-@pytest.mark.filterwarnings("ignore:.*of (its light|the sensor are dark)")
+@pytest.mark.filterwarnings("ignore:.*(of its light|of the sensor are dark|pixels see beyond)")
 @pytest.mark.parametrize("tilt_rad", [0.0, 1e-9])
 def test_beyond_its_image_circle_a_traced_lens_is_dark(tilt_rad: float) -> None:
     """Circles of 2 and 2.2 mm, 15 mm apart, share nothing from a tangent of 4.2 / 15 on."""
@@ -287,6 +287,14 @@ def test_beyond_its_image_circle_a_traced_lens_is_dark(tilt_rad: float) -> None:
     right = look[16, :, 0] / look[16, :, 2]
     np.testing.assert_allclose(right, tangent, atol=0.02)
     assert np.all(np.diff(right) > 0)
+
+
+@pytest.mark.slow
+def test_corners_next_to_the_end_of_the_image_are_lit() -> None:
+    """No field is found for them from the middle, but the one that the others let expect is lit."""
+    camera = make_camera(Grid((1, 3), (2.48, 3.3)), optics=LensOptics(load_lens("wide_940")))
+    look = intrinsics_of(camera).directions(camera.grid.shape)  # a warning would be an error
+    assert np.isfinite(look).all()
 
 
 def test_an_image_that_turns_back_is_no_dark_corner() -> None:
@@ -321,8 +329,9 @@ def test_a_lens_that_cannot_move_the_image_is_refused() -> None:
         LensOptics(petzval(), element=3)
     with pytest.raises(TypeError, match="expected a Lens, got str"):
         LensOptics("petzval_a")  # type: ignore[arg-type]
+    long = replace(lens_camera(), grid=Grid((5, 301), SENSOR.pitch_mm))
     with pytest.raises(ValueError, match="no ray"):
-        simulate_tof(wall(), lens_camera(), [(0.0, 300.0)], **EXACT)
+        simulate_tof(wall(), long, [(0.0, 300.0)], **EXACT)
 
 
 def test_quiet_camera_is_quiet() -> None:

@@ -50,11 +50,12 @@ def lens_directions(lens: Lens, grid: Grid) -> PixelDirections:
         look = np.stack(directions.lattice(rows, cols), axis=-1)
         light = trace(lens, look, pupil_quadrature(_RINGS)[0]).passed.mean(axis=-1)
         dark = light < _NEXT_TO_NONE
-        from_mm = np.linalg.norm(places_mm(grid, rows, cols)[dark], axis=-1).min(initial=np.inf)
-        warn_quality(
-            f"about {100 * dark.mean():.0f} % of the sensor are dark, from {from_mm:.2g} mm from "
-            "its middle on: the lens sends no light there"
-        )
+        if dark.any():
+            from_mm = np.linalg.norm(places_mm(grid, rows, cols)[dark], axis=-1).min()
+            warn_quality(
+                f"about {100 * dark.mean():.0f} % of the sensor are dark, from {from_mm:.2g} mm "
+                "from its middle on: the lens sends no light there"
+            )
     down, right = directions.lattice(*pixels)
     return PixelDirections(np.stack([right, down, np.ones_like(down)], axis=-1))
 
