@@ -150,6 +150,8 @@ def test_wrong_kinds_are_refused() -> None:
         ([0.25, 0.25], {}, r"planned_px \[frame 2\]"),
         (np.zeros((0, 2)), {}, r"planned_px \[frame 2\]"),
         ([(0.0, np.nan)], {}, "finite planned_px"),
+        ([(0.0, 0.0), (1e9, 0.0)], {}, r"of 9 x 13 px in view, got \(1e\+09, 0\) in frame 1"),
+        ([(8.9, -13.0)], {}, r"of 9 x 13 px in view, got \(8.9, -13\) in frame 0"),
         ([(0.0, 0.0)], {"scale": 0}, "integer scale"),
         ([(0.0, 0.0)], {"scale": 1.5}, "integer scale"),
         ([(0.0, 0.0)], {"samples_per_px": 0}, "integer samples_per_px"),
@@ -170,3 +172,5 @@ def test_nothing_to_see_at_all() -> None:
         still(wall(), make_camera(readout=bright))
     with pytest.raises(DataError, match=r"0 % are full .* and 100 % have too little"):
         still(wall(), make_camera(validity=Validity(min_amplitude_electrons=1e12)))
+    with pytest.raises(DataError, match=r"metres, got a median of 3500 .* are they millimetres"):
+        still(wall(3500.0), make_camera(readout=replace(quiet(), bits=12)))

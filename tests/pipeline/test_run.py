@@ -8,12 +8,13 @@ import pytest
 from PIL import Image
 
 from lensshift import fidelity, reconstruct
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.io import load_burst, load_reconstruction
 from lensshift.pipeline import demo_burst, run
 from lensshift.pipeline.experiment import carry_out, simulate
 from lensshift.pipeline.experiment_file import default_experiment
+from lensshift.scene import Cuboid, Plane, Scene
 
 
 def test_run_writes_what_it_says_and_beats_the_yardsticks(tmp_path: Path) -> None:
@@ -52,6 +53,21 @@ def test_a_simulated_burst_is_reconstructed_as_well_as_by_run() -> None:
     assert image is not None
     alone_db = fidelity(image.image, capture.truth.amplitude).psnr_db
     assert alone_db > carry_out(experiment).fidelity["auto"]["psnr_db"] - 0.5
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_distances_that_come_back_are_compared_in_the_turn_of_the_truth(seed: int) -> None:
+    box = Cuboid(centre_m=(0.0, 0.1, 11.5), size_m=(0.8, 0.4, 0.3))
+    scene = Scene((box,), Plane(centre_m=(0.0, 0.0, 12.4)))
+    far = replace(default_experiment(), seed=seed, scene=scene, shift_error_px=0.0)
+    with pytest.warns(QualityWarning, match=r"100 % of the valid pixels see beyond 9.993 m"):
+        outcome = carry_out(far)
+    assert outcome.depth["auto"]["flat_rmse_m"] < 0.03
+    truth_m = outcome.capture.truth.distance_m
+    assert np.median(np.abs(outcome.images["auto"]["distance"] - truth_m)) < 0.03
+    told = outcome.reconstruction.distance_m
+    assert told is not None
+    assert told.image.max() < 9.993  # as the camera tells them
 
 
 def test_same_seed_same_numbers() -> None:

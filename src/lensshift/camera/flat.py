@@ -101,7 +101,7 @@ def simulate_burst(
     ValueError
         If `planned_px` is not [frame 2] or a number is out of range.
     """
-    planned = checked_plan(planned_px, scale)
+    planned = checked_plan(planned_px, scale, sensor.grid)
     if not (optics_sigma_px >= 0 and shift_error_px >= 0):
         raise ValueError("expected optics_sigma_px >= 0 and shift_error_px >= 0")
     rng = np.random.default_rng(seed)
@@ -124,13 +124,21 @@ def simulate_burst(
     return burst, Truth(hr_image, offset)
 
 
-def checked_plan(planned_px: ArrayLike, scale: int) -> Floats:
+def checked_plan(planned_px: ArrayLike, scale: int, grid: Grid) -> Floats:
     """Return the planned offsets [frame 2], if they and the scale of the truth can be."""
     planned = np.asarray(planned_px, dtype=np.float64)
     if planned.ndim != 2 or planned.shape[1] != 2 or not len(planned):
         raise ValueError(f"expected planned_px [frame 2], got shape {planned.shape}")
     if not np.all(np.isfinite(planned)):
         raise ValueError("expected finite planned_px, got NaN or infinity")
+    beyond = np.any(np.abs(planned) >= grid.shape, axis=1)
+    if beyond.any():
+        frame = int(beyond.argmax())
+        down_px, right_px = planned[frame]
+        raise ValueError(
+            f"expected planned_px, in LR pixels, that leave a part of {grid.shape[0]} x "
+            f"{grid.shape[1]} px in view, got ({down_px:g}, {right_px:g}) in frame {frame}"
+        )
     if scale != int(scale) or scale < 1:
         raise ValueError(f"expected an integer scale from 1, got {scale}")
     return planned

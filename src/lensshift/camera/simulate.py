@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.camera.channels import Seen, Tones
+from lensshift.camera.demodulate import unambiguous_distance_m
 from lensshift.camera.flat import QUARTER_SQUARE_PX, checked_plan
 from lensshift.camera.footprints import Footprints, see
 from lensshift.camera.output import Image, O3mImages, image_of
@@ -18,10 +19,10 @@ from lensshift.camera.readout import Rates, Reading, harmonic_shares, read
 from lensshift.camera.settings import LensOptics, TofCamera
 from lensshift.camera.view import intrinsics_of, motions, response_width_px
 from lensshift.core.arrays import Array, Floats, Mask
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.motion import ShiftField
 from lensshift.core.types import Burst
-from lensshift.core.units import unambiguous_range_m
+from lensshift.core.units import doubt_about_units, unambiguous_range_m
 from lensshift.scene import Scene
 
 _SAMPLES_PER_HR_PX = 8  # along an axis
@@ -151,8 +152,13 @@ def simulate_tof(
         a shift.
     DataError
         If no pixel is valid: with the reason.
+
+    Warns
+    -----
+    QualityWarning
+        If valid pixels see farther than the modulation frequencies reach.
     """
-    planned = checked_plan(planned_px, scale)
+    planned = checked_plan(planned_px, scale, camera.grid)
     samples = _samples(scale, samples_per_px)
     if not (np.isfinite(shift_error_px) and shift_error_px >= 0):
         raise ValueError(f"expected shift_error_px of at least 0, got {shift_error_px}")
@@ -176,34 +182,55 @@ def simulate_tof(
     ]
     images = [image_of(reading, camera) for reading in readings]
     if not any(image.valid.any() for image in images):
-        raise DataError(_why_nothing(frames, readings))
+        raise DataError(_why_nothing(frames, readings, camera))
     notes = {"origin": "simulated", "seed": int(seed), "samples_per_px": samples}
     # What `calibrate` would tell of a real camera.
     notes["psf_sigma_px"] = response_width_px(side_px, rest_blur, camera.grid.shape)
     field = None
     if isinstance(camera.optics, LensOptics) and camera.optics.element is not None:
         field = ShiftField(np.stack([one.offset_px for one in looks[:-2]]))
+    truth = TofTruth(
+        *true_images(ideal, camera),
+        *true_images(sharp, camera),
+        valid=ideal.light > 0,
+        flying=_flying(ideal, camera),
+        flying_in_frames=np.stack([_flying(seen, camera) for seen in frames]),
+        offset_px=offset,
+        offset_field=field,
+    )
+    _tell_what_comes_back(frames, images, camera)
     return TofCapture(
         burst=_burst(images, camera, planned, shift_error_px, notes),
-        truth=TofTruth(
-            *true_images(ideal, camera),
-            *true_images(sharp, camera),
-            valid=ideal.light > 0,
-            flying=_flying(ideal, camera),
-            flying_in_frames=np.stack([_flying(seen, camera) for seen in frames]),
-            offset_px=offset,
-            offset_field=field,
-        ),
+        truth=truth,
         raw=RawPhases(**_stacked(readings), modulation_hz=camera.illumination.modulation_hz),
         o3m=_o3m(images),
     )
 
 
-def _why_nothing(frames: list[Seen], readings: list[Reading]) -> str:
+def _tell_what_comes_back(frames: list[Seen], images: list[Image], camera: TofCamera) -> None:
+    """Warn of distances that phases cannot tell from shorter ones."""
+    hz, pairs = camera.illumination.modulation_hz, zip(frames, images, strict=True)
+    distance_m = np.concatenate([seen.distances()[0][image.valid] for seen, image in pairs])
+    reach_m = unambiguous_distance_m(hz)
+    beyond = distance_m >= reach_m
+    if beyond.any():
+        far_m, mhz = float(np.median(distance_m[beyond])), ", ".join(f"{one / 1e6:g}" for one in hz)
+        warn_quality(
+            f"{100 * beyond.mean():.3g} % of the valid pixels see beyond {reach_m:.4g} m, where "
+            f"distances begin again at 0 with {mhz} MHz: {far_m:.4g} m is told as "
+            f"{far_m % reach_m:.4g}. Lower modulation_hz, or several, reach farther",
+            stacklevel=3,
+        )
+
+
+def _why_nothing(frames: list[Seen], readings: list[Reading], camera: TofCamera) -> str:
     """Say why no pixel is valid."""
     seen = np.stack([one.light > 0 for one in frames])
     if not seen.any():
         return "expected something in view of the camera that scatters light, but it sees nothing"
+    typical_m = float(np.median(np.stack([one.distances()[0] for one in frames])[seen]))
+    if doubt := doubt_about_units(min(camera.illumination.modulation_hz), typical_m):
+        return doubt
     full = float(np.stack([one.saturated for one in readings])[seen].mean())
     return (
         f"expected pixels to use, but of those that see light {100 * full:.0f} % are full "

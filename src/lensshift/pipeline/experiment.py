@@ -20,6 +20,8 @@ from lensshift.camera import (
     simulate_burst,
 )
 from lensshift.camera import simulate_tof as take
+from lensshift.camera.demodulate import unambiguous_distance_m
+from lensshift.camera.flat import checked_plan
 from lensshift.core.arrays import Array, Floats
 from lensshift.core.grid import Grid
 from lensshift.core.types import Burst, Reconstruction, ShiftField
@@ -80,6 +82,7 @@ class Experiment:
             raise ValueError(f"expected shifts {', '.join(SHIFTS)}, got {self.shifts!r}")
         if self.shifts == "traced":
             _moving_lens(self.camera)
+        checked_plan(self.pattern_px, self.scale, self.camera.grid)
         if not 0.0 <= self.shift_error_px <= MOST_SHIFT_ERROR_PX:
             raise ValueError(
                 f"expected shift_error_px from 0 to {MOST_SHIFT_ERROR_PX:g} LR pixels, "
@@ -108,7 +111,8 @@ class Outcome:
     ----------
     capture : burst, truth and raw data
     reconstruction : by the method asked for
-    images : name -> channel -> [row col] on the HR grid: the yardsticks and the method
+    images : name -> channel -> [row col] on the HR grid: the yardsticks and the method; distances
+        that come back at the end of the range are told in the turn of the truth
     fidelity : name -> psnr_db, ssim, rmse of the amplitude, 4 HR px of border left out
     depth : name -> errors of the distance against the truth, in metres
     seconds : of the reconstruction asked for
@@ -156,16 +160,15 @@ def carry_out(
     scale, truth = experiment.scale, capture.truth
     images = {name: images_of(reconstruct(burst, scale, name, std=False)) for name in YARDSTICKS}
     images[experiment.method] = images_of(result)
-    like = {
-        name: asdict(fidelity(image["amplitude"], truth.amplitude))
-        for name, image in images.items()
-        if "amplitude" in image
-    }
-    depth = {
-        name: depth_numbers(image["distance"], truth, scale)
-        for name, image in images.items()
-        if "distance" in image
-    }
+    turn_m = unambiguous_distance_m(experiment.camera.illumination.modulation_hz)
+    like, depth = {}, {}
+    for name, image in images.items():
+        if "amplitude" in image:
+            like[name] = asdict(fidelity(image["amplitude"], truth.amplitude))
+        if "distance" in image:
+            turns = np.rint((truth.distance_m - image["distance"]) / turn_m)
+            image["distance"] = image["distance"] + turn_m * np.where(truth.valid, turns, 0.0)
+            depth[name] = depth_numbers(image["distance"], truth, scale)
     return Outcome(capture, result, images, like, depth, seconds)
 
 
