@@ -198,7 +198,7 @@ def simulate_tof(
         offset_px=offset,
         offset_field=field,
     )
-    _tell_what_comes_back(frames, images, camera)
+    _tell_what_comes_back(truth, images, camera)
     return TofCapture(
         burst=_burst(images, camera, planned, shift_error_px, notes),
         truth=truth,
@@ -207,10 +207,11 @@ def simulate_tof(
     )
 
 
-def _tell_what_comes_back(frames: list[Seen], images: list[Image], camera: TofCamera) -> None:
+def _tell_what_comes_back(truth: TofTruth, images: list[Image], camera: TofCamera) -> None:
     """Warn of distances that phases cannot tell from shorter ones."""
-    hz, pairs = camera.illumination.modulation_hz, zip(frames, images, strict=True)
-    distance_m = np.concatenate([seen.distances()[0][image.valid] for seen, image in pairs])
+    hz, scale = camera.illumination.modulation_hz, len(truth.valid) // camera.grid.shape[0]
+    used = np.kron(np.any([image.valid for image in images], axis=0), np.ones((scale, scale)))
+    distance_m = truth.sharp_distance_m[(used > 0) & (truth.sharp_amplitude > 0)]
     reach_m = unambiguous_distance_m(hz)
     beyond = distance_m >= reach_m
     if beyond.any():
