@@ -21,7 +21,7 @@ from tof_worlds import (
 from lensshift.camera import Pixels, PlainOptics, camera_preset, simulate_tof, simulate_tof_burst
 from lensshift.camera.flat import QUARTER_SQUARE_PX
 from lensshift.core.grid import Grid
-from lensshift.scene import Edge, cast, four_boxes
+from lensshift.scene import Edge, Plane, Rectangle, Scene, cast, four_boxes
 
 SHIFTS_PX = np.array([(0.25, -0.25), (0.113, 0.387), (-0.731, 0.0401), (0.0, 0.9999)])
 
@@ -194,3 +194,26 @@ def test_large_sensors_are_done_in_tiles(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_modulation_of_the_burst_is_that_of_the_camera() -> None:
     assert still(wall(), make_camera()).burst.modulation_hz == HZ
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_wires_thinner_than_a_cell_give_their_light(seed: int) -> None:
+    """Of cards between a third of a cell and a whole one: their area, in most directions."""
+    rng = np.random.default_rng(seed)
+    camera, back = make_camera(Grid((12, 14), (0.1, 0.1))), Plane(centre_m=(0.0, 0.0, 4.0))
+    bare = still(Scene((), back), camera).burst
+    found = []
+    for _ in range(15):
+        length_px, width_px = rng.uniform(4, 8), rng.uniform(0.3, 0.9) / 16
+        card = Rectangle(
+            centre_m=(*rng.uniform(-1e-4, 1e-4, 2), 2.0),
+            size_m=(1e-4 * length_px, 1e-4 * width_px),  # a pixel sees 0.1 mm there
+            turn_rad=(0.0, 0.0, rng.uniform(0.0, np.pi)),
+            reflectance=0.8,
+        )
+        wired = still(Scene((card,), back), camera).burst
+        one, other = (phasors(each.amplitude[0], each.distance_m[0]) for each in (bare, wired))
+        expected = length_px * width_px * (phasors(0.8 / 4, 2.0) - phasors(0.5 / 16, 4.0))
+        found.append(abs((other - one).sum() / bare.amplitude.mean() * 0.5 / 16 / expected - 1.0))
+    assert np.median(found) < 0.02
+    assert np.percentile(found, 80) < 0.05

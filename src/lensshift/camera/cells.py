@@ -2,10 +2,13 @@
 
 Cells are even and do not move: every frame sees the same scene, moved by exactly its offset. A
 ray goes through the middle of each cell; where neighbours differ, 16 rays take the mean of a
-cell, so that an edge lies right to about 1/500 of a pixel with 16 cells across it.
+cell, so that an edge lies right to about 1/500 of a pixel with 16 cells across it. Cells beside one
+whose rays show an edge get as many: a wire which the middles of most cells miss is followed.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +17,15 @@ from lensshift.camera.flat import GOLDEN
 from lensshift.camera.multipath import IndirectLight
 from lensshift.camera.view import View
 from lensshift.core.arrays import Array, Mask
-from lensshift.scene import Hits, Scene, cast
+from lensshift.scene import Scene, cast
 
 _CELLS_AT_ONCE = 1024  # of those that are cast again
 _UNEVEN = 0.1  # of the light: what a weaker edge gets wrong is lost in noise
 # Places (row, col) of rays in a cell, all in different rows and columns.
 _RANKS = np.argsort(np.argsort(np.mod(np.arange(16) * GOLDEN, 1.0)))
 _WITHIN = (np.stack([np.arange(16), _RANKS], axis=-1) + 0.5) / 16
+_SLOPES = np.column_stack([np.ones(16), _WITHIN])
+_BEND = np.eye(16) - _SLOPES @ np.linalg.pinv(_SLOPES)  # what slopes do not explain
 
 
 class World:
@@ -47,41 +52,51 @@ class World:
         cells : [row col channel], changed in place
         row_px, col_px : evenly spaced
         """
+        from scipy.ndimage import binary_dilation
+
         half = 0.5 / self._samples
+        pixel = np.arange(len(col_px)) // self._samples  # indirect light changes slowly
+        middle = np.minimum((np.arange(pixel[-1] + 1) + 0.5) * self._samples, len(col_px) - 1)
         for first in range(0, len(row_px), self._samples):
             some = slice(first, first + self._samples)
-            down, right = self._view.lattice(row_px[some] + half, col_px + half)
-            hits = self._cast(down, right)
-            cells[some] = self._tones.channels_of(hits, self._arriving(hits))
-            cells[some] *= self._view.light(down, right)[..., None]
-        places = np.argwhere(_uneven(cells[..., self._tones.telling]))
-        for first in range(0, len(places), _CELLS_AT_ONCE):
-            i, j = places[first : first + _CELLS_AT_ONCE].T
-            cells[i, j] = self._means(row_px[i], col_px[j])
+            look = self._view.lattice(row_px[some] + half, col_px + half)
+            seen_at = (len(look[0]) // 2, middle.astype(int))
+            cells[some] = self._channels(*look, seen_at, (None, pixel))
+        wanted = _uneven(cells[..., self._tones.telling])
+        done = np.zeros_like(wanted)
+        while wanted.any():
+            split = np.zeros_like(wanted)
+            places = np.argwhere(wanted)
+            for first in range(0, len(places), _CELLS_AT_ONCE):
+                i, j = places[first : first + _CELLS_AT_ONCE].T
+                rays = self._rays(row_px[i], col_px[j])
+                cells[i, j] = rays.mean(axis=1)
+                telling = rays[..., self._tones.telling]
+                size = np.abs(telling).max(axis=(1, 2))
+                bend = np.abs(np.einsum("mn,cnt->cmt", _BEND, telling)).max(axis=(1, 2))
+                split[i, j] = bend > _UNEVEN * size
+            done |= wanted
+            wanted = binary_dilation(split, np.ones((3, 3), np.bool_)) & ~done
 
-    def _means(self, row_px: Array, col_px: Array) -> Array:
-        """Return the channels [cell channel] as means over many rays in each cell."""
+    def _rays(self, row_px: Array, col_px: Array) -> Array:
+        """Return the channels [cell ray channel] of many rays in each cell."""
         place_px = np.stack([row_px, col_px], axis=-1)[:, None] + _WITHIN / self._samples
-        down, right = self._view.at(place_px[..., 0], place_px[..., 1])
-        hits = self._cast(down, right)
-        arriving = None
+        look = self._view.at(place_px[..., 0], place_px[..., 1])
+        return self._channels(*look, (slice(None), 0), (slice(None), None))
+
+    def _channels(self, down: Array, right: Array, seen_at: Any, back: Any) -> Array:
+        """Return the channels [... channel] in directions [...].
+
+        Parameters
+        ----------
+        seen_at, back : indices of the directions where indirect light is found, and of what is
+            found there, which broadcasts
+        """
+        hits = cast(self._scene, np.stack([right, down, np.ones_like(down)], axis=-1))
+        indirect = None
         if self._indirect is not None:
-            arriving = self._indirect.at(hits.point_m[:, 0], hits.normal[:, 0])[:, None]
-        values = self._tones.channels_of(hits, arriving) * self._view.light(down, right)[..., None]
-        return np.asarray(values.mean(axis=1))
-
-    def _cast(self, down: Array, right: Array) -> Hits:
-        return cast(self._scene, np.stack([right, down, np.ones_like(down)], axis=-1))
-
-    def _arriving(self, hits: Hits) -> Array | None:
-        """Return indirect light on rows of cells, found once per LR pixel: it changes slowly."""
-        if self._indirect is None:
-            return None
-        rows, cols = hits.hit.shape
-        pixel = np.arange(cols) // self._samples
-        middle = np.minimum((np.arange(pixel[-1] + 1) + 0.5) * self._samples, cols - 1).astype(int)
-        places = (rows // 2, middle)
-        return self._indirect.at(hits.point_m[places], hits.normal[places])[None, pixel]
+            indirect = self._indirect.at(hits.point_m[seen_at], hits.normal[seen_at])[back]
+        return self._tones.channels_of(hits, indirect) * self._view.light(down, right)[..., None]
 
 
 def _uneven(values: Array) -> Mask:
