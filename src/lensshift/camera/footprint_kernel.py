@@ -9,44 +9,6 @@ from lensshift.core.arrays import Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_corner(sums: Array, row: float, col: float, share: float, out: Array) -> None:
-    """Add `share` times the sum over everything above and left of a place.
-
-    Between the corners of cells the sum is bilinear: cells are even.
-    """
-    i, j = int(row), int(col)
-    down, right = row - i, col - j
-    for n in range(out.size):
-        out[n] += share * (
-            (1.0 - down) * ((1.0 - right) * sums[i, j, n] + right * sums[i, j + 1, n])
-            + down * ((1.0 - right) * sums[i + 1, j, n] + right * sums[i + 1, j + 1, n])
-        )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def square_means(sums: Array, centre: Array, half: float, out: Array) -> None:
-    """Write the mean over the square of each pixel.
-
-    All places in cells from the corner of the first cell.
-
-    Parameters
-    ----------
-    sums : [cell row + 1, cell col + 1, channel] over all cells above and left
-    centre : [row col 2] of the squares
-    half : half of their side
-    out : [row col channel]
-    """
-    share = 0.25 / (half * half)
-    for i, j in np.ndindex(out.shape[:2]):
-        out[i, j, :] = 0.0
-        row, col = centre[i, j]
-        _add_corner(sums, row + half, col + half, share, out[i, j])
-        _add_corner(sums, row - half, col + half, -share, out[i, j])
-        _add_corner(sums, row + half, col - half, -share, out[i, j])
-        _add_corner(sums, row - half, col - half, share, out[i, j])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _slide(
     cells: Array, i: int, whole: int, part: float, run: Array, out: Array, at: int, step: int
 ) -> None:

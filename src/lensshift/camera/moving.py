@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -55,8 +57,9 @@ class RunningCamera:
         corners = ((np.arange(n) - self._margin) / samples - 0.5 for n in (rows, cols))
         World(scene, view, self._tones, None, samples).fill(cells, *corners)
         gaussian_filter(cells, samples * optics.blur_sigma_px, axes=(0, 1), output=cells)
-        self._sums = np.zeros((rows + 1, cols + 1, self._tones.channels))
-        np.cumsum(np.cumsum(cells, axis=0), axis=1, out=self._sums[1:, 1:])
+        # [channel row col] over all cells above and left
+        self._sums = np.zeros((self._tones.channels, rows + 1, cols + 1))
+        np.cumsum(np.cumsum(cells.transpose(2, 0, 1), axis=1), axis=2, out=self._sums[:, 1:, 1:])
 
     def seen(self, offset_px: ArrayLike) -> Seen:
         """Return the means over the pixels, without noise.
@@ -83,17 +86,22 @@ class RunningCamera:
         return true_images(self._means(scale, offset_px, 1.0 / scale), self.camera)
 
     def _means(self, scale: int, offset_px: ArrayLike, side_px: float) -> Seen:
-        from lensshift.camera.footprint_kernel import square_means
+        from scipy.ndimage import map_coordinates
 
         offset = np.asarray(offset_px, dtype=np.float64)
         if not np.all(np.abs(offset) <= self.reach_px):
             raise ValueError(f"expected offsets of at most {self.reach_px} px")
         rows, cols = self.camera.grid.shape
         shape = (rows * scale, cols * scale)
-        corner_px = (np.moveaxis(np.indices(shape), 0, -1) + 0.5) / scale - offset
-        centre = corner_px * self._samples + self._margin
-        means = np.empty((*shape, self._tones.channels))
-        square_means(self._sums, centre, 0.5 * side_px * self._samples, means)
+        centre_px = (np.moveaxis(np.indices(shape), 0, -1) + 0.5) / scale - offset
+        means = np.zeros((*shape, self._tones.channels))
+        for down, right in product((-0.5, 0.5), repeat=2):  # corners of the squares
+            corner = (centre_px + side_px * np.array([down, right])) * self._samples + self._margin
+            share = 4.0 * down * right / (side_px * self._samples) ** 2
+            for number, sums in enumerate(self._sums):  # bilinear: cells are even
+                means[..., number] += share * map_coordinates(
+                    sums, np.moveaxis(corner, -1, 0), order=1
+                )
         return Seen(means, self._tones)
 
     def frame(self, offset_px: ArrayLike, rng: np.random.Generator) -> Image:
