@@ -54,7 +54,7 @@ class World:
         """
         from scipy.ndimage import binary_dilation
 
-        half = 0.5 / self._samples
+        half, within_px = 0.5 / self._samples, _WITHIN.T[:, None] / self._samples
         pixel = np.arange(len(col_px)) // self._samples  # indirect light changes slowly
         middle = np.minimum((np.arange(pixel[-1] + 1) + 0.5) * self._samples, len(col_px) - 1)
         for first in range(0, len(row_px), self._samples):
@@ -69,7 +69,8 @@ class World:
             places = np.argwhere(wanted)
             for first in range(0, len(places), _CELLS_AT_ONCE):
                 i, j = places[first : first + _CELLS_AT_ONCE].T
-                rays = self._rays(row_px[i], col_px[j])
+                at_px = np.stack([row_px[i], col_px[j]])[..., None] + within_px
+                rays = self._channels(*self._view.at(*at_px), (slice(None), 0), np.s_[:, None])
                 cells[i, j] = rays.mean(axis=1)
                 telling = rays[..., self._tones.telling]
                 size = np.abs(telling).max(axis=(1, 2))
@@ -77,12 +78,6 @@ class World:
                 split[i, j] = bend > _UNEVEN * size
             done |= wanted
             wanted = binary_dilation(split, np.ones((3, 3), np.bool_)) & ~done
-
-    def _rays(self, row_px: Array, col_px: Array) -> Array:
-        """Return the channels [cell ray channel] of many rays in each cell."""
-        place_px = np.stack([row_px, col_px], axis=-1)[:, None] + _WITHIN / self._samples
-        look = self._view.at(place_px[..., 0], place_px[..., 1])
-        return self._channels(*look, (slice(None), 0), (slice(None), None))
 
     def _channels(self, down: Array, right: Array, seen_at: Any, back: Any) -> Array:
         """Return the channels [... channel] in directions [...].

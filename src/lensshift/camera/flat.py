@@ -134,10 +134,9 @@ def checked_plan(planned_px: ArrayLike, scale: int, grid: Grid) -> Floats:
     beyond = np.any(np.abs(planned) >= grid.shape, axis=1)
     if beyond.any():
         frame = int(beyond.argmax())
-        down_px, right_px = planned[frame]
         raise ValueError(
-            f"expected planned_px, in LR pixels, that leave a part of {grid.shape[0]} x "
-            f"{grid.shape[1]} px in view, got ({down_px:g}, {right_px:g}) in frame {frame}"
+            "expected planned_px, in LR pixels, that leave a part of {} x {} px in view, got "
+            "({:g}, {:g}) in frame {}".format(*grid.shape, *planned[frame], frame)
         )
     if scale != int(scale) or scale < 1:
         raise ValueError(f"expected an integer scale from 1, got {scale}")

@@ -91,18 +91,15 @@ class RunningCamera:
         offset = np.asarray(offset_px, dtype=np.float64)
         if not np.all(np.abs(offset) <= self.reach_px):
             raise ValueError(f"expected offsets of at most {self.reach_px} px")
-        rows, cols = self.camera.grid.shape
-        shape = (rows * scale, cols * scale)
+        shape = self.camera.grid.refine(scale).shape
         centre_px = (np.moveaxis(np.indices(shape), 0, -1) + 0.5) / scale - offset
         means = np.zeros((*shape, self._tones.channels))
         for down, right in product((-0.5, 0.5), repeat=2):  # corners of the squares
             corner = (centre_px + side_px * np.array([down, right])) * self._samples + self._margin
-            share = 4.0 * down * right / (side_px * self._samples) ** 2
+            share, place = 4.0 * down * right / side_px**2, np.moveaxis(corner, -1, 0)
             for number, sums in enumerate(self._sums):  # bilinear: cells are even
-                means[..., number] += share * map_coordinates(
-                    sums, np.moveaxis(corner, -1, 0), order=1
-                )
-        return Seen(means, self._tones)
+                means[..., number] += share * map_coordinates(sums, place, order=1)
+        return Seen(means / self._samples**2, self._tones)
 
     def frame(self, offset_px: ArrayLike, rng: np.random.Generator) -> Image:
         """Expose one frame while the image goes through offsets [instant ...], see `seen`.

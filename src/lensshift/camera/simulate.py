@@ -241,11 +241,11 @@ def _why_nothing(frames: list[Seen], readings: list[Reading], camera: TofCamera)
 
 
 def _samples(scale: int, samples_per_px: int | None) -> int:
-    if samples_per_px is None:
-        return max(_FEWEST_SAMPLES, _SAMPLES_PER_HR_PX * int(scale))
-    if samples_per_px != int(samples_per_px) or samples_per_px < 1:
-        raise ValueError(f"expected an integer samples_per_px from 1, got {samples_per_px}")
-    return int(samples_per_px)
+    usual = max(_FEWEST_SAMPLES, _SAMPLES_PER_HR_PX * int(scale))
+    samples = usual if samples_per_px is None else samples_per_px
+    if samples != int(samples) or samples < 1:
+        raise ValueError(f"expected an integer samples_per_px from 1, got {samples}")
+    return int(samples)
 
 
 def rates_of(seen: Seen, camera: TofCamera, frame: int) -> Rates:

@@ -35,7 +35,6 @@ from lensshift.scene import Scene, demo_target
 
 YARDSTICKS = ("nearest", "bicubic")
 Shifts = Literal["planned", "true", "traced"]
-SHIFTS: tuple[Shifts, ...] = ("planned", "true", "traced")
 DEMO_GRID = camera_preset("o3m151").grid  # 16 x 64 pixels
 MOST_SHIFT_ERROR_PX = 5.0  # beyond that a plan of shifts says nothing
 
@@ -75,11 +74,10 @@ class Experiment:
 
     def __post_init__(self) -> None:
         make_method(self.method, self.options)
-        if self.channel not in get_args(Channel):
-            expected = ", ".join(get_args(Channel))
-            raise ValueError(f"expected a channel of {expected}, got {self.channel!r}")
-        if self.shifts not in SHIFTS:
-            raise ValueError(f"expected shifts {', '.join(SHIFTS)}, got {self.shifts!r}")
+        for name, kind in (("channel", Channel), ("shifts", Shifts)):
+            if getattr(self, name) not in get_args(kind):
+                expected = f"expected {name} of {', '.join(get_args(kind))}"
+                raise ValueError(f"{expected}, got {getattr(self, name)!r}")
         if self.shifts == "traced":
             _moving_lens(self.camera)
         checked_plan(self.pattern_px, self.scale, self.camera.grid)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lensshift.core.arrays import Floats
+from lensshift.scene.textures import Edge, SiemensStar
 
 Place = Floats
 Target = Callable[[Place, Place], Floats]
@@ -39,23 +40,19 @@ class Box:
 
 def slanted_edge(slant_rad: float, dark: float = 0.2, bright: float = 0.8) -> Target:
     """Return an edge through the middle, dark on the left, `slant_rad` away from the vertical."""
-
-    def radiance(row_mm: Place, col_mm: Place) -> Floats:
-        right_of_edge = col_mm * np.cos(slant_rad) - row_mm * np.sin(slant_rad) > 0
-        return np.where(right_of_edge, bright, dark)
-
-    return radiance
+    edge = Edge(slant_rad, dark, bright)
+    return lambda row_mm, col_mm: edge(col_mm, row_mm)
 
 
 def siemens_star(
     radius_mm: float, cycles: int = 12, dark: float = 0.1, bright: float = 0.9
 ) -> Target:
     """Return a star of `cycles` bright and dark sectors; a cycle at radius r is 2 pi r / cycles."""
+    star = SiemensStar(radius_mm, cycles, dark, bright, binary=True)
 
     def radiance(row_mm: Place, col_mm: Place) -> Floats:
-        bright_sector = np.sin(cycles * np.arctan2(row_mm, col_mm)) > 0
-        star = np.where(bright_sector, bright, dark)
-        return np.where(np.hypot(row_mm, col_mm) <= radius_mm, star, BACKGROUND)
+        inside = np.hypot(row_mm, col_mm) <= radius_mm
+        return np.where(inside, star(col_mm, row_mm), BACKGROUND)
 
     return radiance
 
@@ -106,12 +103,8 @@ def in_a_row(targets: Sequence[Target], cell_mm: float, *, downwards: bool = Fal
         for index, target in enumerate(targets):
             here = (cell == index) & (np.abs(across) <= cell_mm / 2)
             middle_mm = (index + 0.5 - len(targets) / 2) * cell_mm
-            from_middle = along[here] - middle_mm
-            seen[here] = (
-                target(from_middle, across[here])
-                if downwards
-                else target(across[here], from_middle)
-            )
+            place = along[here] - middle_mm, across[here]
+            seen[here] = target(*place) if downwards else target(*place[::-1])
         return seen
 
     return radiance

@@ -91,17 +91,12 @@ def save_scene(scene: Scene, path: str | Path) -> None:
     DataError
         If the file cannot be written.
     """
-    write_text(path, format_scene(scene))
-
-
-def format_scene(scene: Scene) -> str:
-    """Return the TOML text of a scene."""
     heads = ["[[object]]"] * len(scene.objects) + ["[background]"]
     tables = [
         [head, f'shape = "{_kind_of(shape, _SHAPES, "shape")}"', *_lines(shape)]
         for head, shape in zip(heads, scene.shapes, strict=False)
     ]
-    return "\n\n".join("\n".join(lines) for lines in tables) + "\n"
+    write_text(path, "\n\n".join("\n".join(lines) for lines in tables) + "\n")
 
 
 def _scene(content: dict[str, Any], folder: Path) -> Scene:
@@ -161,15 +156,13 @@ def _values(table: Any, word: str, kinds: Mapping[str, Any], where: str) -> tupl
         name = key.replace("_deg", "_rad")
         if hints.get(name) in (bool, int, str):  # numbers are checked by whoever takes them
             fit(value, hints[name], f"{where}, {key}")
-        values[name] = _in_radians(key, value, where)
+        with about(where):
+            if key == "turn_deg":
+                value = tuple(map(math.radians, numbers(key, value, 3)))
+            elif key == "slant_deg":
+                value = math.radians(number(key, value))
+        values[name] = value
     return kind, values
-
-
-def _in_radians(key: str, value: Any, where: str) -> Any:
-    with about(where):
-        if key == "turn_deg":
-            return tuple(map(math.radians, numbers(key, value, 3)))
-        return math.radians(number(key, value)) if key == "slant_deg" else value
 
 
 def _built(build: Callable[..., _Built], values: _Table, where: str) -> _Built:
