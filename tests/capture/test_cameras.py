@@ -123,6 +123,12 @@ def test_pictures_in_all_their_forms() -> None:
     assert frame.distance_m is None
     assert frame.time_s == 5.0
     assert raw["temperature"] == 40.5
+    masked = np.ma.masked_array([[1.0, 2.0, 3.0]], [[False, True, False]])
+    frame, _ = frame_from((masked, np.ma.masked_array([[1.0, 1.0, 0.0]], [[False, False, True]])))
+    assert frame.valid.tolist() == [[True, False, False]]
+    before_s = time.time()
+    frame, _ = frame_from({"amplitude": np.ones((2, 3)), "time_s": None})
+    assert before_s <= frame.time_s <= time.time()
     buffer = np.ones((2, 3))
     kept, _ = frame_from(buffer)
     buffer[:] = 7
@@ -140,6 +146,8 @@ def test_pictures_in_all_their_forms() -> None:
         (np.ones((2, 3)), np.ones((3, 2))),
         {"amplitude": np.ones((2, 3)), "valid": np.ones((3, 2))},
         np.ones((2, 3), dtype=complex),
+        np.ones((2, 3), dtype=bool),
+        {"amplitude": np.ones((2, 3)), "time_s": np.nan},
     ],
 )
 def test_other_pictures_are_refused(bad: Any) -> None:

@@ -140,6 +140,33 @@ class Repeating(CallableCamera):
 
 
 @pytest.mark.parametrize(
+    ("frame", "said"),
+    [
+        ("np.ones((48, 64), bool), None, None, 0.0", "expected an amplitude .* of numbers"),
+        ("amplitude, None, None, float('nan')", "expected a finite time_s"),
+        ("amplitude, amplitude, amplitude[0], 0.0", "valid: expected"),
+    ],
+)
+def test_frames_of_a_camera_of_its_own_are_looked_at_as_they_come(
+    rig: Path, frame: str, said: str, tmp_path: Path
+) -> None:
+    text = module(rig).read_text()
+    own = f"""
+class Own(CallableCamera):
+    def next_frame(self, timeout_s):
+        from dataclasses import replace
+        from lensshift.core.types import Frame
+        amplitude = np.ones((48, 64))
+        return replace(super().next_frame(timeout_s), frame=Frame({frame}))
+
+"""
+    text = text.replace("\ndef camera", own + "\ndef camera")
+    module(rig).write_text(text.replace("return CallableCamera", "return Own"))
+    with open_rig(rig) as opened, pytest.raises((DataError, DeviceError), match=said):
+        opened.capture("square", tmp_path / "burst.nc")
+
+
+@pytest.mark.parametrize(
     ("name", "body", "said"),
     [
         ("grid", "raise OSError('USB gone')", "OSError: USB gone"),

@@ -52,6 +52,28 @@ def test_an_unfinished_capture_is_a_burst(tmp_path: Path) -> None:
     assert burst.meta["step"] == [0, 1, 2]
 
 
+@pytest.mark.parametrize(
+    ("others", "said"),
+    [
+        ({"distance_m": None}, "distance_m: only some of the frames have it"),
+        ({"amplitude": np.ones((3, 4))}, r"amplitude: expected a shape of \(3, 5\)"),
+        ({"raw": {"factor": np.arange(3.0)}}, r"raw_factor: expected a shape of \(4,\)"),
+        ({"raw": {"note": np.array("warm")}}, "raw_note: cannot store dtype <U4"),
+        ({"raw": {"gain": np.array({"iso": 100})}}, "raw_gain: cannot store dtype object"),
+    ],
+)
+def test_a_frame_that_makes_no_burst_with_the_others_is_refused_at_once(
+    tmp_path: Path, others: dict[str, Any], said: str
+) -> None:
+    path = written(tmp_path / "a.nc", 2)
+    with CaptureWriter.resume(path) as file:
+        with pytest.raises(DataError, match=f"a.nc: {said}"):
+            file.append(frame(2, **others))
+        file.append(frame(2))
+    assert load_burst(path).distance_m is not None
+    assert load_burst(path).frame_count == 3
+
+
 def test_what_the_camera_sent_stays_in_the_burst_file(tmp_path: Path) -> None:
     burst = load_burst(written(tmp_path / "a.nc", 2))
     save_burst(burst, tmp_path / "b.nc")
@@ -182,11 +204,13 @@ def test_neither_a_pipe_nor_a_frame_that_unpacks_stops_a_reader(
 
 
 def test_frames_that_do_not_fit_together(tmp_path: Path) -> None:
-    with CaptureWriter.create(tmp_path / "a.nc", HEADER) as file:
-        file.append(frame(0))
+    path, other = written(tmp_path / "a.nc", 1), written(tmp_path / "b.nc", 0)
+    begun = other.stat().st_size
+    with CaptureWriter.resume(other) as file:
         file.append(frame(1, amplitude=np.ones((2, 2))))
+    path.write_bytes(path.read_bytes() + other.read_bytes()[begun:])
     with pytest.raises(DataError, match="contradicts itself"):
-        load_burst(tmp_path / "a.nc")
+        load_burst(path)
     arrays = frame(0).arrays()
     with pytest.raises(DataError, match="valid: a frame lacks this field"):
         FrameRecord.of_arrays({name: one for name, one in arrays.items() if name != "valid"})

@@ -25,10 +25,10 @@ import numpy as np
 
 from lensshift.core.arrays import Array
 from lensshift.core.atomic import GrowingFile, writable_target, writing
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, naming
 from lensshift.core.settings import parse_json
 from lensshift.core.types import FRAME_FIELDS, Burst
-from lensshift.io.container_writer import to_json
+from lensshift.io.container_writer import check_storable, to_json
 from lensshift.io.reading import reading, require_file, unpacked_bytes
 
 _MARK = b"LSCAPTR1"
@@ -88,6 +88,7 @@ class CaptureWriter(GrowingFile):
     ) -> None:
         super().__init__(file)
         self.path, self.header, self.frames = path, dict(header), frames
+        self._first = frames[0].arrays() if frames else {}
 
     @classmethod
     def create(cls, path: str | Path, header: Mapping[str, Any]) -> Self:
@@ -121,9 +122,24 @@ class CaptureWriter(GrowingFile):
         return cls(target, file, header, frames)
 
     def append(self, record: FrameRecord) -> None:
-        """Add a frame, whole or not at all (DataError); it is with the system when this returns."""
-        packed = BytesIO()
-        np.savez(packed, **record.arrays())  # type: ignore[arg-type]  # names are ours
+        """Add a frame, whole or not at all (DataError); it is with the system when this returns.
+
+        One that makes no burst with those before is refused: after the last one it would be too
+        late.
+        """
+        arrays, packed = record.arrays(), BytesIO()
+        self._first = self._first or arrays
+        with naming(self.path):
+            for name, values in arrays.items():
+                if name.startswith(_RAW):
+                    check_storable(name, values)
+                shape = self._first.get(name, values).shape
+                if values.shape != shape:
+                    problem = f"expected a shape of {shape}, as in the frames before"
+                    raise DataError(f"{problem}, got {values.shape}", field=name)
+            for name in {*FRAME_FIELDS} & (self._first.keys() ^ arrays.keys()):
+                raise DataError("only some of the frames have it: all must, or none", field=name)
+        np.savez(packed, **arrays)  # type: ignore[arg-type]  # names are ours
         self._write(packed.getbuffer())
         self.frames.append(record)
 

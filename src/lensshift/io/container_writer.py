@@ -156,16 +156,21 @@ def sealed_text(text: str) -> NDArray[np.bytes_]:
     return np.array(encoded, dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
 
 
+def check_storable(name: str, values: NDArray[Any] | Allocated) -> None:
+    """Raise a DataError unless every reader knows numbers of this kind."""
+    if f"{values.dtype.kind}{values.dtype.itemsize}" not in _STORABLE:
+        raise DataError(
+            f"cannot store dtype {values.dtype}; convert it to an integer, float32, float64 or "
+            "complex type first",
+            field=name,
+        )
+
+
 def _dimension_lengths(variables: Mapping[str, Variable]) -> dict[str, int]:
     lengths: dict[str, int] = {}
     for name, variable in variables.items():
         values = variable.values
-        if f"{values.dtype.kind}{values.dtype.itemsize}" not in _STORABLE:
-            raise DataError(
-                f"cannot store dtype {values.dtype}; convert it to an integer, float32, float64 "
-                "or complex type first",
-                field=name,
-            )
+        check_storable(name, values)
         if len(variable.dims) != values.ndim:
             raise DataError(f"expected {variable.dims}, got shape {values.shape}", field=name)
         for dim, length in zip(variable.dims, values.shape, strict=True):

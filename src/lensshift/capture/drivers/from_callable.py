@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ import numpy as np
 from lensshift.capture.drivers.receiver import ReceivingCamera
 from lensshift.capture.rig import CameraFrame
 from lensshift.core.arrays import Array
+from lensshift.core.burst_checks import unmasked
 from lensshift.core.errors import DeviceError
 from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
@@ -22,11 +25,12 @@ _OWN_KEYS = ("amplitude", "distance_m", "valid", "time_s")
 def frame_from(grabbed: Any) -> tuple[Frame, Mapping[str, Array]]:
     """Turn what a function returned into a frame and the arrays to keep beside it.
 
-    TypeError, ValueError if it is nothing of this kind. Pixels that are not finite are marked
-    invalid.
+    TypeError, ValueError if it is nothing of this kind. Pixels that are not finite, or that
+    `numpy.ma` masks, are marked invalid.
 
     grabbed : amplitude [row col]; or (amplitude, distance_m); or a mapping with `amplitude` and
-        as you like `distance_m`, `valid`, `time_s`; its other entries are kept as they are
+        as you like `distance_m`, `valid`, `time_s`; its other entries, numbers of the same shape
+        in each frame, are kept as they are
     """
     fields: dict[str, Any]
     if isinstance(grabbed, Mapping):
@@ -39,29 +43,24 @@ def frame_from(grabbed: Any) -> tuple[Frame, Mapping[str, Array]]:
         got = sorted(map(str, fields)) if isinstance(grabbed, Mapping) else grabbed
         raise ValueError(f"expected a picture, or an entry 'amplitude', got {got!r:.80}")
     amplitude = np.array(fields["amplitude"])  # a copy: the function may use its buffer again
-    if amplitude.dtype.kind not in "buif" or amplitude.ndim != 2 or amplitude.size == 0:
+    if amplitude.dtype.kind not in "uif" or amplitude.ndim != 2 or amplitude.size == 0:
         raise TypeError(
             f"expected an amplitude [row col] of numbers, got {amplitude.dtype} of shape "
             f"{amplitude.shape}"
         )
-    valid = np.isfinite(amplitude)
-    distance_m = None
-    if fields.get("distance_m") is not None:
-        distance_m = np.array(fields["distance_m"], dtype=np.float64)
-        _check_shape(distance_m, amplitude, "distance_m")
-        valid &= np.isfinite(distance_m)
-    if fields.get("valid") is not None:
-        told = np.asarray(fields["valid"], dtype=np.bool_)
-        _check_shape(told, amplitude, "valid")
-        valid &= told
-    time_s = float(fields.get("time_s", time.time()))
+    distance_m = fields.get("distance_m")
+    valid = unmasked(fields.get("valid"), fields["amplitude"], distance_m)
+    if distance_m is not None:
+        distance_m = np.array(distance_m, dtype=np.float64)
+    time_s = fields.get("time_s")
+    time_s = time.time() if time_s is None else float(time_s)
+    if not math.isfinite(time_s):
+        raise ValueError(f"expected a finite time_s, or none, got {time_s}")
+    told = np.ones(amplitude.shape) if valid is None else np.asarray(valid)
+    frame = Frame(amplitude, distance_m, told.astype(np.bool_), time_s)  # of one shape, all three
+    seen = frame.valid & np.isfinite(amplitude if distance_m is None else amplitude + distance_m)
     raw = {str(name): np.array(one) for name, one in fields.items() if name not in _OWN_KEYS}
-    return Frame(amplitude, distance_m, valid, time_s), raw
-
-
-def _check_shape(values: Array, amplitude: Array, name: str) -> None:
-    if values.shape != amplitude.shape:
-        raise ValueError(f"expected {name} of shape {amplitude.shape}, got {values.shape}")
+    return replace(frame, valid=seen), raw
 
 
 class CallableCamera(ReceivingCamera):

@@ -10,6 +10,7 @@ import importlib
 import inspect
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -17,6 +18,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lensshift.capture.drivers.from_callable import frame_from
 from lensshift.capture.rig import Camera, CameraFrame, OnHoming, Stage, goal_within
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError, DeviceError
@@ -192,7 +194,10 @@ class _CheckedCamera(_Checked):
     def next_frame(self, timeout_s: float) -> CameraFrame:
         with _Named(self.name, DeviceError):
             shot = self._checked("next_frame", self._device.next_frame(timeout_s), CameraFrame)
-            shape = np.shape(shot.frame.amplitude)
+            seen = {one.name: getattr(shot.frame, one.name) for one in fields(shot.frame)}
+            frame, raw = frame_from({**shot.raw, **seen})
+            shot = CameraFrame(frame, int(shot.cycle), float(shot.arrived_s), raw)
+        shape = frame.amplitude.shape
         if shape != self.grid.shape:
             raise self._error(f"expected a frame of {self.grid.shape}, got {shape}", "next_frame")
         if shot.cycle <= self._cycle:
