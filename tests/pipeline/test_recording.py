@@ -162,6 +162,41 @@ def test_shifts_that_do_not_return_are_taken_as_they_are(tmp_path: Path):
         np.testing.assert_array_equal(got, alone.amplitude.image.astype(np.float32))
 
 
+def test_shifts_of_some_other_frames_are_taken_as_they_are(tmp_path: Path):
+    other = part(8, 2, step_px=0.04)
+    film = write_recording(tmp_path / "film.nc", 10, [part(0, 8), other])
+    found = reconstruct_recording(film, tmp_path / "sr.nc", window=4, every=1)
+    assert not sequence_numbers(found.path)["refined"][:3].all()  # they follow
+    whole, response = lensshift.load_burst(film), load_window(found.path, 0).settings["response"]
+    for number in range(3, 7):
+        burst = whole.select(range(number, number + 4))
+        alone = lensshift.reconstruct(replace(burst, meta={**burst.meta, **response}))
+        got = load_window(found.path, number).amplitude.image
+        np.testing.assert_array_equal(got, alone.amplitude.image.astype(np.float32))
+
+
+def test_frames_that_turn_are_no_stream(tmp_path: Path):
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    each = [replace(part(4 * n, 4), affine=np.full((4, 2, 2), 0.01 * n * turn)) for n in range(2)]
+    film = write_recording(tmp_path / "film.nc", 8, each)
+    found = reconstruct_recording(film, tmp_path / "sr.nc", window=4, pace="live")
+    assert sequence_numbers(found.path)["refined"].all()
+
+
+def test_frames_between_windows_are_not_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(recording, "TASK_BYTES", 60_000)  # some 26 frames, or pictures
+    film = write_recording(tmp_path / "film.nc", 200, parts(200))
+    held, read = [], recording.Recording.burst
+
+    def burst(self: recording.Recording, first: int, count: int) -> Burst:
+        held.append(count)
+        return read(self, first, count)
+
+    monkeypatch.setattr(recording.Recording, "burst", burst)
+    assert reconstruct_recording(film, tmp_path / "sr.nc", window=4, every=98).windows == 3
+    assert max(held) == 4
+
+
 def test_a_break_changes_nothing(film: Path, tmp_path: Path):
     whole = reconstruct_recording(film, tmp_path / "whole.nc", window=4, every=2)
     target, seen = tmp_path / "broken.nc", []

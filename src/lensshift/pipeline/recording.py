@@ -26,8 +26,8 @@ from lensshift.io.sequence_file import begin_sequence, of_sequence
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.reconstruction.stream import Pace, stream
 
-# What one task returns is at most of this size, so that memory is bounded; a task is also what is
-# lost with a worker, and where nothing is known of what was before.
+# What one task reads and returns is at most of this size, so that memory is bounded; a task is also
+# what is lost with a worker, and where nothing is known of what was before.
 TASK_BYTES, MOST_WINDOWS = 16_000_000, 256
 SAME_PLACE_PX = 1e-9  # rounding
 AHEAD = 3  # tasks for each worker that are under way
@@ -49,7 +49,6 @@ class Windows:
     every: int  # from the first frame of a picture to that of the next
     count: int  # pictures
     example: int  # first frame of a window that shows something
-    periodic: bool  # whether the shifts return after each window: a stream serves
     scale: int
     method: str
     pace: Pace
@@ -61,6 +60,16 @@ class Windows:
         """Return frames that tell the response."""
         burst = source.burst(first, count)
         return replace(burst, meta=dict(burst.meta) | dict(self.response))
+
+    def streams(self, template: Burst, burst: Burst | None, start: int) -> bool:
+        """Tell whether a stream serves: the shifts of frames from `start` on are the example's.
+
+        It has one frequency, and knows of no turns.
+        """
+        if burst is None or burst.phasors is not None or burst.affine is not None:
+            return False
+        places = np.arange(start, start + burst.frame_count) % self.window
+        return bool(np.abs(burst.offset_px - template.offset_px[places]).max() <= SAME_PLACE_PX)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,16 +146,9 @@ def reconstruct_recording(
         if source.frame_count < window:
             raise ValueError(f"expected at least {window} frames, got {source.frame_count}")
         count = (source.frame_count - window) // step + 1
-        whole = source.offset_px[: source.frame_count // window * window].reshape(-1, window, 2)
-        periodic = bool(np.ptp(whole, axis=0).max() <= SAME_PLACE_PX)
         example = _showing(source, window)
-        # A stream has one frequency.
-        several = source.burst(example, window).phasors is not None
         place = str(Path(recording).resolve())
-        served = periodic and not several
-        job = Windows(
-            place, window, step, count, example, served, scale, method, pace, dict(settings)
-        )
+        job = Windows(place, window, step, count, example, scale, method, pace, dict(settings))
         job, file, tasks = _begun(stack, source, job, out)
         resumed = done = int(file.written.sum())
         solved: Iterator[Solved] = (solve_windows(job, first, count) for first, count in tasks)
@@ -194,7 +196,8 @@ def _pictures(
 ) -> Iterator[tuple[Reconstruction | None, list[str]]]:
     """Yield the picture of each window, None where nothing shows, and what was said of it."""
     told: dict[str, Any] = {"scale": job.scale, "method": job.method} | dict(job.settings)
-    camera = stream(template, pace=job.pace, **told) if job.periodic else None
+    streams = job.streams(template, burst, start)
+    camera = stream(template, pace=job.pace, **told) if streams else None
     taken = 0
     for number in range(count):
         begin = number * job.every
@@ -282,7 +285,10 @@ def _begun(
     )  # fmt: skip
     layout = {name: (one.shape, one.dtype.str) for name, one in like.items()}
     job = replace(job, layout=layout)
-    each = sum(one.nbytes for one in like.values())
+    # Of a picture, and of the frames from one to the next, which a task reads together.
+    frames = [template.amplitude, template.valid, template.distance_m]
+    apart = sum(one.nbytes for one in frames if one is not None) * job.every // job.window
+    each = max(sum(one.nbytes for one in like.values()), apart)
     size = int(np.clip(TASK_BYTES // each, 1, MOST_WINDOWS))
     tasks = [(first, min(size, job.count - first)) for first in range(0, job.count, size)]
     return job, file, [(f, n) for f, n in tasks if not file.written[f : f + n].all()]
