@@ -1,5 +1,6 @@
 """Devices of the user's own, named in a rig file; those of the documentation first."""
 
+import json
 import re
 import sys
 from collections.abc import Iterator
@@ -7,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from lensshift import load_burst
 from lensshift.capture.opening import open_rig
+from lensshift.cli.app import app
 from lensshift.core.errors import DataError, DeviceError
 
 DOCS = Path(__file__).parents[2] / "docs" / "own-devices.md"
@@ -93,6 +96,20 @@ def test_what_a_device_does_wrong_names_it(
     change(module(rig), old, new)
     with pytest.raises((DataError, DeviceError), match=said), open_rig(rig) as opened:
         opened.capture("square", tmp_path / "burst.nc")
+
+
+def test_what_devices_print_is_no_json(rig: Path) -> None:
+    change(module(rig), "    def grab():", "    def grab():\n        print('grabbing')")
+    change(
+        module(rig),
+        "        self._settle_ms =",
+        "        print('opened')\n        self._settle_ms =",
+    )
+    done = CliRunner().invoke(app, ["info", str(rig), "--json"])
+    assert done.exit_code == 0
+    assert json.loads(done.stdout)["stage"]["name"] == "piezo at COM5"
+    assert "grabbing" in done.stderr
+    assert "opened" in done.stderr
 
 
 def test_what_is_no_device_says_what_it_lacks(rig: Path) -> None:

@@ -8,12 +8,12 @@ import time
 import traceback
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from shutil import get_terminal_size
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
 
@@ -55,6 +55,7 @@ class Session:
     failed: bool = False  # whether the verb ends with 1 although it could be carried out
     waiting: Waiting | None = None
     worst: WorstWarning | None = None  # of those that are told once, in the end
+    stdout: TextIO = field(default_factory=lambda: sys.stdout)
 
     def say(self, text: str) -> None:
         """Print a line for people; nothing with --json."""
@@ -86,8 +87,12 @@ class Session:
 
     def ready(self) -> None:
         """With --json: print the result so far, on one line, for who waits for it."""
-        if self.as_json:
-            typer.echo(to_json(self.result, indent=None))
+        self.say_json(self.result, indent=None)
+
+    def say_json(self, value: dict[str, Any], *, indent: int | None = 2) -> None:
+        """Print a value for programs; nothing without --json."""
+        if self.as_json and self.stdout is not None:  # as where the caller closed it
+            typer.echo(to_json(value, indent=indent), file=self.stdout)
 
     def warn(self, message: Warning | str, *_: Any, **__: Any) -> None:
         """Print a warning once, on one line (takes what `warnings.showwarning` is given)."""
@@ -113,7 +118,12 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
     """Run a verb that is `doing` something; print its result, or its error on one line, exit 1."""
     current = Session(as_json, debug)
     current.waiting = Waiting(doing) if doing else None
-    with ended_by_signals(), warnings.catch_warnings(action="always", category=QualityWarning):
+    with (
+        ended_by_signals(),
+        warnings.catch_warnings(action="always", category=QualityWarning),
+        # What devices of the user's own and other packages print is no result.
+        redirect_stdout(sys.stderr if as_json else sys.stdout),
+    ):
         warnings.showwarning = current.warn
         try:
             try:
@@ -134,8 +144,7 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
         finally:
             if current.waiting is not None:
                 current.waiting.close()
-    if as_json:
-        typer.echo(to_json(current.result | {"warnings": current.warnings}))
+    current.say_json(current.result | {"warnings": current.warnings})
     if current.failed:
         raise typer.Exit(1)
 
@@ -155,8 +164,7 @@ def _report(error: BaseException, current: Session) -> None:
     if isinstance(error, ImportError) and extra and "lensshift[" not in text:
         text += f"; pip install 'lensshift[{extra}]'"
     typer.echo(f"error: {text}", err=True)
-    if current.as_json:
-        typer.echo(to_json({"error": text, "warnings": current.warnings}))
+    current.say_json({"error": text, "warnings": current.warnings})
 
 
 class StatusLine:
