@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lensshift.core.calibration import Calibration
+from lensshift.core.calibration import Calibration, turn_rad
 from lensshift.core.motion import StageMap
 from lensshift.core.types import Burst
 
@@ -46,21 +46,41 @@ def test_rotation_and_cross_talk_of_equal_axes(angle_rad: float) -> None:
     )
 
 
-def test_errors_of_rotation_and_cross_talk_are_those_of_many_maps() -> None:
-    """A turn by nearly half a circle, where its angle jumps."""
+@given(st.floats(-0.7, 0.7), st.sampled_from([(1, -1), (-1, 1)]))
+def test_the_turn_of_a_map_that_mirrors_is_that_without_the_mirror(
+    angle_rad: float, mirror: tuple[int, int]
+) -> None:
+    calibration = Calibration(StageMap(turned(angle_rad) * mirror), REST_MM)
+    expected = Calibration(StageMap(turned(angle_rad)), REST_MM).rotation_rad
+    assert calibration.rotation_rad == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_turn_is_that_of_the_nearest_rotation() -> None:
+    """That of the polar decomposition, by singular values; no map turns by nothing."""
+    for matrix in np.random.default_rng(7).standard_normal((50, 2, 2)):
+        u, _, v = np.linalg.svd(matrix)
+        if np.linalg.det(matrix) > 0:
+            assert turn_rad(matrix) == pytest.approx(np.arctan2(*(u @ v)[::-1, 0]), abs=1e-9)
+    assert turn_rad(np.zeros((2, 2))) == 0.0
+
+
+@pytest.mark.parametrize(("turn", "mirror"), [(np.pi - 1e-3, 1), (np.pi / 2 - 1e-3, -1)])
+def test_errors_of_rotation_and_cross_talk_are_those_of_many_maps(turn: float, mirror: int) -> None:
+    """A turn by nearly half a circle, a quarter of one that mirrors, where its angle jumps."""
     rng = np.random.default_rng(4)
-    turn = np.pi - 1e-3
     per_mm = 5.0 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    per_mm[:, 1] *= mirror
     sigma = np.array([[0.02, 0.05], [0.01, 0.03]])
     told = Calibration(StageMap(per_mm), np.zeros(2), px_per_mm_sigma=sigma)
     many = [
         Calibration(StageMap(per_mm + sigma * rng.standard_normal((2, 2))), np.zeros(2))
         for _ in range(2000)
     ]
-    turns = np.angle(np.exp(1j * (np.array([one.rotation_rad for one in many]) - turn)))
+    turns = np.angle(np.exp(2j * (np.array([one.rotation_rad for one in many]) - turn))) / 2
     assert told.rotation_sigma_rad == pytest.approx(float(turns.std()), rel=0.06)
-    across = np.array([one.cross_talk for one in many])
-    np.testing.assert_allclose(told.cross_talk_sigma, across.std(axis=0), rtol=0.06)
+    if mirror > 0:  # along a map by a quarter turn goes nothing
+        across = np.array([one.cross_talk for one in many])
+        np.testing.assert_allclose(told.cross_talk_sigma, across.std(axis=0), rtol=0.06)
     assert Calibration(StageMap(per_mm), np.zeros(2)).rotation_sigma_rad is None
 
 

@@ -22,6 +22,17 @@ def _zeros() -> Floats:
     return np.zeros(2)
 
 
+def turn_rad(matrix: Array) -> float:
+    """Return the turn of the rotation nearest to a map [2 2], see `Calibration.rotation_rad`.
+
+    Of [[a, b], [c, d]] that is atan2(c - b, a + d): it makes the trace of (rotation^T map) largest.
+    """
+    mirrors = bool(np.linalg.det(matrix) < 0)
+    (a, b), (c, d) = matrix * (1, -1) if mirrors else matrix
+    turn = np.arctan2(c - b, a + d)
+    return float((turn + np.pi / 2) % np.pi - np.pi / 2 if mirrors else turn)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """From stage positions to image offsets and back, with what else a scan says of the rig.
@@ -74,10 +85,11 @@ class Calibration:
 
     @property
     def rotation_rad(self) -> float:
-        """Turn of the stage axes against the image axes: of the rotation nearest to the map."""
-        u, _, v = np.linalg.svd(self.stage_map.px_per_mm)
-        turn = u @ v
-        return float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+        """Turn of the stage axes against the image axes: of the rotation nearest to the map.
+
+        Of a map that mirrors it is that without the mirror, within a quarter turn either way.
+        """
+        return turn_rad(self.stage_map.px_per_mm)
 
     @property
     def cross_talk(self) -> Floats:
@@ -88,8 +100,8 @@ class Calibration:
     @property
     def rotation_sigma_rad(self) -> float | None:
         """Standard error of the turn, None if that of the map is not known."""
-        # As a point on the unit circle, which knows no jump at half a turn.
-        found = self._spread(lambda one: np.exp([1j * one.rotation_rad]))
+        # As a point on a circle, which knows no jump at half a turn.
+        found = self._spread(lambda one: 0.5 * np.exp([2j * one.rotation_rad]))
         return None if found is None else float(found[0])
 
     @property

@@ -12,9 +12,8 @@ import numpy as np
 from lensshift.capture.acquire import Acquisition, at_position, check_travel, returning, run_up_mm
 from lensshift.capture.rig import Camera, Stage
 from lensshift.core.arrays import Floats
-from lensshift.core.calibration import Calibration
+from lensshift.core.calibration import Calibration, turn_rad
 from lensshift.core.errors import QualityWarning
-from lensshift.core.motion import StageMap
 from lensshift.core.types import Burst
 from lensshift.io.capture_file import FrameRecord
 from lensshift.pipeline.doctor.findings import Finding, Level
@@ -58,8 +57,7 @@ class Axes:
     @property
     def turn_rad(self) -> float:
         """Turn of the stage against the image, of the rotation nearest to the map."""
-        upright = self._unswapped * np.sign(np.diagonal(self._unswapped))
-        return Calibration(StageMap(upright), np.zeros(2)).rotation_rad
+        return turn_rad(self._unswapped * np.sign(np.diagonal(self._unswapped)))
 
     @property
     def gain_px_per_mm(self) -> Floats:
