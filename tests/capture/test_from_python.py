@@ -112,6 +112,15 @@ def test_what_devices_print_is_no_json(rig: Path) -> None:
     assert "opened" in done.stderr
 
 
+def test_what_a_device_says_of_itself_is_kept_as_text(rig: Path, tmp_path: Path) -> None:
+    telling = "from datetime import date; return {'since': date(2026, 5, 4), 'gain': np.float32(2)}"
+    change(module(rig), "return {", f"{telling}\n        return {{")
+    with open_rig(rig) as opened:
+        opened.capture("square", tmp_path / "burst.nc")
+    told = load_burst(tmp_path / "burst.nc").meta["stage"]
+    assert (told["since"], told["gain"]) == ("2026-05-04", 2.0)
+
+
 def test_what_is_no_device_says_what_it_lacks(rig: Path) -> None:
     change(module(rig), "def stop", "def halt")
     with pytest.raises(DataError, match=r"stage\.use: .*makes no stage: it lacks stop"):

@@ -23,7 +23,7 @@ from lensshift.capture.rig import Camera, CameraFrame, OnHoming, Stage, goal_wit
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
-from lensshift.core.settings import built
+from lensshift.core.settings import built, parse_json, to_json
 
 T = TypeVar("T")
 
@@ -132,7 +132,8 @@ class _Checked:
         self._ask("close", type)  # whatever it returns
 
     def describe(self) -> Mapping[str, Any]:
-        return self._ask("describe", dict)
+        # What is kept beside frames is text and numbers: of others, as times, their words.
+        return self._ask("describe", lambda told: parse_json(to_json(dict(told))))
 
 
 class _CheckedStage(_Checked):
