@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,13 +27,15 @@ import lensshift.capture.emulators.rig as rig_emulator
 from lensshift.camera import camera_preset
 from lensshift.capture.emulators.listener import free_udp_port
 from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
+from lensshift.capture.rig import CameraFrame
 from lensshift.cli.app import app
 from lensshift.core.errors import DataError
+from lensshift.core.types import Frame
 from lensshift.io.calibration_file import load_calibration
 from lensshift.pipeline.doctor import Diagnosis, Level, examine, examine_rig, network
 from lensshift.pipeline.doctor.axes import NUDGE_MM, Axes, nudge_findings
 from lensshift.pipeline.doctor.start import rig_text
-from lensshift.pipeline.doctor.view import settings_share
+from lensshift.pipeline.doctor.view import look, settings_share, view_findings
 from lensshift.registration import calibration_scan_mm
 from lensshift.scene import Plane, Scene
 
@@ -292,6 +295,26 @@ def test_only_noise_makes_an_image_that_stands_seem_to_move() -> None:
         axes = Axes(np.diag([NOMINAL, went_px / NUDGE_MM]), poorly, np.zeros(2))
         found = [*nudge_findings(axes, np.array([noise_px, 0.0]))]
         assert [one.said.split()[1] for one in found if one.name == "stage blocked"] == stuck
+
+
+@pytest.mark.usefixtures("glance")
+@pytest.mark.parametrize(("every", "level"), [(1, "FAULT"), (2, "DOUBT"), (0, "")])
+def test_pictures_that_are_handed_out_again(every: int, level: str) -> None:
+    """One and the same picture for ever, each one twice, and each one anew."""
+    rng, frames = np.random.default_rng(3), []
+    texture = rng.random((12, 16))
+    for number in range(16):
+        anew = not frames or every == 0 or (every == 2 and number % 2 == 0)
+        one = texture + 0.01 * rng.standard_normal((12, 16)) if anew else frames[-1].frame.amplitude
+        frames.append(CameraFrame(Frame(one, None, np.ones((12, 16), bool), 0.0), number, number))
+    left = iter(frames)
+    view = look(SimpleNamespace(next_frame=lambda timeout_s: next(left)), 1.0)
+    found = [one for one in view_findings(view, {}, {}) if one.name == "same picture"]
+    assert [one.level.name for one in found] == ([level] if level else [])
+
+
+def test_an_image_that_does_not_move_at_all_has_numbers() -> None:
+    assert Axes(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)).numbers["turn_deg"] == 0.0
 
 
 @pytest.mark.usefixtures("glance")

@@ -12,6 +12,7 @@ import numpy as np
 
 from lensshift.capture.rig import Camera, CameraFrame
 from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.defects import copied_frames
 from lensshift.optics.actuator import PIXEL_NOISE
 from lensshift.pipeline.doctor.findings import Finding, Level
 from lensshift.registration.gradient import texture_covariance
@@ -40,6 +41,7 @@ class View:
     sigma_px: Floats  # [2] how well one frame tells a shift along (row, col)
     brightness_jump: float  # rms change between frames that noise does not explain
     settings_share: float  # of the pixels whose amplitude depends on the exposure that they chose
+    copies: int = 0  # frames that are another one bit by bit, noise and all
 
     @property
     def averages_needed(self) -> float:
@@ -90,6 +92,7 @@ def _view(frames: list[CameraFrame]) -> View:
         sigma_px=np.full(2, np.inf),
         brightness_jump=0.0,
         settings_share=settings_share([one.raw for one in frames], amplitude, always),
+        copies=len(copied_frames(amplitude)),
     )
     if not always.any():
         return dark
@@ -159,6 +162,12 @@ def view_findings(
             said += f" (buffer granted: {known['receive_buffer_bytes'] / 2**20:.1f} MiB)"
         cure = "direct cable; sudo sysctl -w net.core.rmem_max=4194304"
         yield Finding(Level.DOUBT, "losses", said, cure)
+    if view.copies:
+        count = len(view.amplitude)
+        said = f"{view.copies} of {count} frames are copies of others, noise and all"
+        cure = "have each picture taken anew: one that is handed out again may be of another place"
+        level = Level.FAULT if view.copies == count - 1 else Level.DOUBT
+        yield Finding(level, "same picture", said, cure)
     if view.jumps or view.settings_share > 0.0:
         said = f"brightness jumps by {100 * view.brightness_jump:.1f} % from frame to frame"
         if not view.jumps:
