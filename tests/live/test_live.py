@@ -297,6 +297,38 @@ def test_what_a_simulated_camera_shows_is_recorded_round_after_round(tmp_path: P
             assert len(np.unique(kept.offset_px, axis=0)) == places
 
 
+def test_a_recording_is_read_in_parts_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where nothing is seen for longer than a part, at its beginning and its end."""
+    from lensshift.live import recording
+
+    rng, dark = np.random.default_rng(5), [*range(4), *range(9, 20), 31]
+    plan = BurstSource(Burst.from_arrays(np.ones((4, 3, 5)), offset_px=np.eye(4, 2)), "b").plan
+    made, sizes = recording.Recording(tmp_path, plan, "recorded"), []
+    amplitude, offset_px = rng.random((32, 3, 5)), rng.random((32, 2))
+    for number, image in enumerate(amplitude):
+        seen = np.full((3, 5), number not in dark)
+        frame = Frame(image, 2.0 * image, seen, 0.1 * number)
+        made.append(Shot(frame, number % 4, 0.0, plan, offset_px[number]))
+    whole = recording.burst_of_capture
+    monkeypatch.setattr(recording, "_TOGETHER", 3)
+    monkeypatch.setattr(
+        recording, "burst_of_capture", lambda *told: (sizes.append(len(told[1])), whole(*told))[1]
+    )
+    made.close()
+    kept = load_burst(made.path)
+    np.testing.assert_array_equal(kept.amplitude, amplitude)
+    np.testing.assert_array_equal(kept.distance_m, 2.0 * amplitude)
+    np.testing.assert_array_equal(kept.offset_px, offset_px)
+    np.testing.assert_array_equal(kept.time_s, 0.1 * np.arange(32))
+    np.testing.assert_array_equal(np.flatnonzero(~kept.valid.any(axis=(1, 2))), dark)
+    assert kept.meta["step"] == [n % 4 for n in range(32)]
+    assert sum(sizes) == 32
+    assert max(sizes) < 18
+    assert [one.name for one in tmp_path.iterdir()] == [made.path.name]
+
+
 def test_a_recording_without_a_frame_leaves_nothing(burst: Burst, tmp_path: Path) -> None:
     from lensshift.live.recording import Recording
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import MISSING, dataclass, field, fields
 from io import BytesIO
@@ -210,34 +210,53 @@ def burst_of_capture(
         raise DataError(f"the capture contradicts itself: {error}", source=source) from error
 
 
+def frames_of_capture(path: str | Path) -> Iterator[FrameRecord]:
+    """Yield the frames of a journal, which may be larger than memory; else as `read_capture`."""
+    whole = _whole(Path(path))
+    _header(whole, path)
+    return (_frame(payload, path) for payload, _ in whole)
+
+
 def _records(path: Path) -> tuple[dict[str, Any], list[FrameRecord], int]:
     """Return the header, the whole frames, and where the last one ends."""
+    whole = _whole(path)
+    (header, end), frames = _header(whole, path), []
+    for payload, end in whole:  # noqa: B007  # the last one is what is asked for
+        frames.append(_frame(payload, path))
+    return header, frames, end
+
+
+def _whole(path: Path) -> Iterator[tuple[bytes, int]]:
+    """Yield what each record holds and where it ends, up to the first that is not whole."""
     require_file(path)
-    with reading(path):
-        data = path.read_bytes()
-    payloads, end = [], 0
-    while len(data) >= end + _HEAD.size:
-        mark, length, checksum = _HEAD.unpack_from(data, end)
-        start = end + _HEAD.size
-        if mark != _MARK or length > _LARGEST or len(data) < start + length:
-            break
-        payload = data[start : start + length]
-        if zlib.crc32(payload) != checksum:
-            break
-        payloads.append(payload)
-        end = start + length
-    if not payloads:
+    with reading(path), path.open("rb") as file:
+        size, end = path.stat().st_size, 0
+        while len(head := file.read(_HEAD.size)) == _HEAD.size:
+            mark, length, checksum = _HEAD.unpack(head)
+            end += _HEAD.size + length
+            if mark != _MARK or length > _LARGEST or end > size:
+                return
+            payload = file.read(length)
+            if zlib.crc32(payload) != checksum:
+                return
+            yield payload, end
+
+
+def _header(whole: Iterator[tuple[bytes, int]], path: str | Path) -> tuple[dict[str, Any], int]:
+    payload, end = next(whole, (None, 0))
+    if payload is None:
         raise DataError("expected the journal of a capture with a whole header", source=path)
-    header = parse_json(payloads[0], path, "header")
+    header = parse_json(payload, path, "header")
     if header.get("schema") != _SCHEMA:
         raise DataError(f"expected schema {_SCHEMA}", field="schema", source=path)
-    frames = []
-    for one in payloads[1:]:
-        with reading(path, "frames"), np.load(BytesIO(one), allow_pickle=False) as arrays:
-            if unpacked_bytes(arrays) > len(one):  # the writer does not compress
-                raise DataError("a frame claims to hold more than is stored")
-            frames.append(FrameRecord.of_arrays({name: arrays[name] for name in arrays.files}))
-    return header, frames, end
+    return header, end
+
+
+def _frame(payload: bytes, path: str | Path) -> FrameRecord:
+    with reading(path, "frames"), np.load(BytesIO(payload), allow_pickle=False) as arrays:
+        if unpacked_bytes(arrays) > len(payload):  # the writer does not compress
+            raise DataError("a frame claims to hold more than is stored")
+        return FrameRecord.of_arrays({name: arrays[name] for name in arrays.files})
 
 
 def lock(file: BinaryIO, path: Path) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import fields, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +12,17 @@ import numpy as np
 
 from lensshift.core.errors import DataError
 from lensshift.core.types import Burst
-from lensshift.io import save_burst, save_reconstruction
-from lensshift.io.capture_file import CaptureWriter, FrameRecord, burst_of_capture, read_capture
+from lensshift.io import save_burst, save_reconstruction, write_recording
+from lensshift.io.capture_file import (
+    CaptureWriter,
+    FrameRecord,
+    burst_of_capture,
+    frames_of_capture,
+)
 from lensshift.live.picture import Picture, one_frame
 from lensshift.live.sources import Shot
+
+_TOGETHER = 64  # frames of a journal that are read and written at once
 
 
 class Recording:
@@ -21,8 +30,14 @@ class Recording:
 
     def __init__(self, folder: Path, plan: Burst, pattern: str) -> None:
         self.path = unused(folder, "recording", ".nc")
-        self.count, self._pattern = 0, pattern
+        self._pattern = pattern
+        self._steps: list[int] = []  # place of each frame, which is all that is kept of it here
         self._begin(plan)
+
+    @property
+    def count(self) -> int:
+        """Frames so far."""
+        return len(self._steps)
 
     def _begin(self, plan: Burst) -> None:
         self._plan = plan
@@ -59,7 +74,7 @@ class Recording:
         )
         self._file.append(record)
         self._file.frames.clear()  # they are on disk; a long recording shall not fill memory
-        self.count += 1
+        self._steps.append(shot.place)
         return True
 
     def close(self) -> None:
@@ -71,9 +86,23 @@ class Recording:
         if not self.count:
             self.path.unlink(missing_ok=True)
             return
-        header, frames = read_capture(self.path)
-        burst = burst_of_capture(header, frames, self.path)
-        save_burst(replace(burst, intrinsics=self._plan.intrinsics), self.path)
+        write_recording(self.path, self.count, self._parts())
+
+    def _parts(self) -> Iterator[Burst]:
+        """Yield the frames in bursts, each of which has to show something."""
+        held: list[FrameRecord] = []
+        frames = frames_of_capture(self.path)
+        while some := list(islice(frames, _TOGETHER)):
+            if all(any(one.valid.any() for one in part) for part in (held, some)):
+                yield self._part(held)
+                held = []
+            held += some
+        yield self._part(held)
+
+    def _part(self, frames: list[FrameRecord]) -> Burst:
+        part = burst_of_capture(self._file.header, frames, self.path)
+        meta = {**part.meta, "step": self._steps}
+        return replace(part, meta=meta, intrinsics=self._plan.intrinsics)
 
 
 def save_snapshot(picture: Picture, folder: Path) -> tuple[Path, ...]:
