@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import asdict, replace
-from itertools import islice
+from itertools import cycle, islice
 from pathlib import Path
 
 from lensshift.capture.acquire import (
@@ -18,7 +19,6 @@ from lensshift.capture.acquire import (
 from lensshift.capture.journal import capture_header
 from lensshift.capture.plan import shortest_order
 from lensshift.capture.rig import Camera, Stage
-from lensshift.core.arrays import Array
 from lensshift.core.calibration import Calibration
 from lensshift.core.motion import ShiftPlan
 from lensshift.core.types import Burst
@@ -40,14 +40,11 @@ def bursts(
         As `acquire`.
     """
     settings = settings or Acquisition()
-    order, positions = _in_order(stage, camera, plan, calibration, settings)
+    positions = calibration.stage_mm(plan.target_px)
     header = capture_header(stage, camera, positions, calibration, asdict(settings), plan.name)
-    each = len(order) * (1 if settings.average else settings.frames)
-    with returning(stage, calibration.rest_mm) as ending:
-        rounds = _rounds(stage, camera, positions, calibration, settings)
-        while True:
-            records = list(islice(rounds, each))
-            ending.check()
+    each = len(positions) * (1 if settings.average else settings.frames)
+    with closing(frames(stage, camera, plan, calibration, settings)) as rounds:  # type: ignore[type-var]
+        while records := list(islice(rounds, each)):
             yield looking(burst_of_capture(header, records, Path(plan.name or "burst")), camera)
 
 
@@ -68,30 +65,15 @@ def frames(
         As `acquire`.
     """
     settings = settings or Acquisition()
-    order, positions = _in_order(stage, camera, plan, calibration, settings)
-    with returning(stage, calibration.rest_mm) as ending:
-        for record in _rounds(stage, camera, positions, calibration, settings):
-            ending.check()
-            yield replace(record, step=order[record.step])
-
-
-def _in_order(
-    stage: Stage, camera: Camera, plan: ShiftPlan, calibration: Calibration, settings: Acquisition
-) -> tuple[list[int], Array]:
-    """Return the places of a plan in the order of endless visits, and where they are."""
     calibration.check_sensor(camera.grid.shape)
     positions = calibration.stage_mm(plan.target_px)
     check_travel(stage, positions)
     order = list(range(len(positions)))
-    if settings.reorder:
+    if settings.reorder:  # that of endless visits
         order = shortest_order(positions, run_up_mm(stage, settings), positions[-1])
-    return order, positions[order]
-
-
-def _rounds(
-    stage: Stage, camera: Camera, positions: Array, calibration: Calibration, settings: Acquisition
-) -> Iterator[FrameRecord]:
-    while True:
-        for step, target in enumerate(positions):
-            for one in at_position(stage, camera, target, calibration, settings, settings.frames):
+    with returning(stage, calibration.rest_mm) as ending:
+        for step in cycle(order):
+            at = positions[step]
+            for one in at_position(stage, camera, at, calibration, settings, settings.frames):
+                ending.check()
                 yield replace(one, step=step)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from lensshift.capture.drivers.from_callable import frame_from
 from lensshift.capture.drivers.o3m_layout import SHAPE
 from lensshift.capture.drivers.o3m_stream import O3MStream
 from lensshift.capture.drivers.receiver import ReceivingCamera
@@ -180,15 +181,9 @@ class ReplayCamera(ReceivingCamera):
 
 
 def _frame(amplitude: BagImage, distance: BagImage | None) -> Frame:
-    valid = np.isfinite(amplitude.image)
-    distance_m = None
+    seen: dict[str, Any] = {"amplitude": amplitude.image, "time_s": amplitude.time_s}
     if distance is not None:
-        if distance.image.shape != amplitude.image.shape:
-            raise DataError(
-                f"expected images of one size, got {amplitude.image.shape} and "
-                f"{distance.image.shape}"
-            )
         step_m = 1.0 if distance.image.dtype.kind == "f" else MILLIMETRE_M
         distance_m = distance.image.astype(np.float64) * step_m
-        valid &= np.isfinite(distance_m) & (distance_m > 0)
-    return Frame(amplitude.image, distance_m, valid, amplitude.time_s)
+        seen |= {"distance_m": distance_m, "valid": distance_m > 0}
+    return frame_from(seen)[0]
