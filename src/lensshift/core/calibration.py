@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -100,28 +100,23 @@ class Calibration:
     @property
     def rotation_sigma_rad(self) -> float | None:
         """Standard error of the turn, None if that of the map is not known."""
-        # As a point on a circle, which knows no jump at half a turn.
-        found = self._spread(lambda one: 0.5 * np.exp([2j * one.rotation_rad]))
-        return None if found is None else float(found[0])
+        if self.px_per_mm_sigma is None:
+            return None
+        (a, b), (c, d) = self.stage_map.px_per_mm
+        (da, db), (dc, dd) = self.px_per_mm_sigma
+        sign = np.sign(np.linalg.det(self.stage_map.px_per_mm))  # see `turn_rad`
+        along, across = a + sign * d, c - sign * b
+        error = np.hypot(along * np.hypot(db, dc), across * np.hypot(da, dd))
+        return float(error / (along**2 + across**2))
 
     @property
     def cross_talk_sigma(self) -> Floats | None:
         """[2] standard errors of the cross-talk, None if those of the map are not known."""
-        return self._spread(lambda one: one.cross_talk)
-
-    def _spread(self, value: Callable[[Calibration], Array]) -> Floats | None:
-        """Propagate the errors of the map: sqrt(sum over i, j of (d value / d M_ij sigma_ij)^2)."""
         if self.px_per_mm_sigma is None:
             return None
-        per_mm, total = self.stage_map.px_per_mm, np.zeros(value(self).shape)
-        for place, sigma in np.ndenumerate(self.px_per_mm_sigma):
-            ends = []
-            for sign in (-0.5, 0.5):
-                moved = per_mm.copy()
-                moved[place] += sign * sigma
-                ends.append(value(Calibration(StageMap(moved), self.rest_mm)))
-            total += np.abs(ends[1] - ends[0]) ** 2
-        return np.asarray(np.sqrt(total))
+        along, across = np.diagonal(self.px_per_mm_sigma), np.diagonal(self.px_per_mm_sigma[::-1])
+        error = np.hypot(across, self.cross_talk * along)
+        return np.asarray(error / np.abs(np.diagonal(self.stage_map.px_per_mm)))
 
     def offset_px(self, stage_mm: ArrayLike) -> Floats:
         """Return image offsets [... 2] in the middle of the sensor for positions [... 2]."""
