@@ -14,10 +14,11 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import MISSING, dataclass, field, fields
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -115,11 +116,12 @@ class CaptureWriter(GrowingFile):
         with ExitStack() as undo:
             undo.callback(file.close)
             lock(file, target)
-            header, frames, length = _records(target)
+            records = [*_records(target)]
+            length = records[-1][1]
             file.truncate(length)
             file.seek(length)
             undo.pop_all()
-        return cls(target, file, header, frames)
+        return cls(target, file, records[0][0], [frame for frame, _ in records[1:]])
 
     def append(self, record: FrameRecord) -> None:
         """Add a frame, whole or not at all (DataError); it is with the system when this returns.
@@ -184,7 +186,8 @@ def is_capture(path: str | Path) -> bool:
 
 def read_capture(path: str | Path) -> tuple[dict[str, Any], list[FrameRecord]]:
     """Return header and frames of a journal, also of a growing one; DataError if it is none."""
-    return _records(Path(path))[:2]
+    (header, _), *frames = _records(Path(path))
+    return header, [frame for frame, _ in frames]
 
 
 def burst_of_capture(
@@ -212,47 +215,37 @@ def burst_of_capture(
 
 def frames_of_capture(path: str | Path) -> Iterator[FrameRecord]:
     """Yield the frames of a journal, which may be larger than memory; else as `read_capture`."""
-    whole = _whole(Path(path))
-    _header(whole, path)
-    return (_frame(payload, path) for payload, _ in whole)
+    return (frame for frame, _ in islice(_records(Path(path)), 1, None))
 
 
-def _records(path: Path) -> tuple[dict[str, Any], list[FrameRecord], int]:
-    """Return the header, the whole frames, and where the last one ends."""
-    whole = _whole(path)
-    (header, end), frames = _header(whole, path), []
-    for payload, end in whole:  # noqa: B007  # the last one is what is asked for
-        frames.append(_frame(payload, path))
-    return header, frames, end
-
-
-def _whole(path: Path) -> Iterator[tuple[bytes, int]]:
-    """Yield what each record holds and where it ends, up to the first that is not whole."""
+def _records(path: Path) -> Iterator[tuple[Any, int]]:
+    """Yield the header, then frame by frame, each with where it ends, as far as they are whole."""
     require_file(path)
+    parsed: Callable[[bytes, Path], Any] = _header
     with reading(path), path.open("rb") as file:
         size, end = path.stat().st_size, 0
         while len(head := file.read(_HEAD.size)) == _HEAD.size:
             mark, length, checksum = _HEAD.unpack(head)
             end += _HEAD.size + length
             if mark != _MARK or length > _LARGEST or end > size:
-                return
+                break
             payload = file.read(length)
             if zlib.crc32(payload) != checksum:
-                return
-            yield payload, end
-
-
-def _header(whole: Iterator[tuple[bytes, int]], path: str | Path) -> tuple[dict[str, Any], int]:
-    payload, end = next(whole, (None, 0))
-    if payload is None:
+                break
+            yield parsed(payload, path), end
+            parsed = _frame
+    if parsed is _header:
         raise DataError("expected the journal of a capture with a whole header", source=path)
+
+
+def _header(payload: bytes, path: Path) -> dict[str, Any]:
     header = parse_json(payload, path, "header")
     if header.get("schema") != _SCHEMA:
         raise DataError(f"expected schema {_SCHEMA}", field="schema", source=path)
-    return header, end
+    return header
 
 
-def _frame(payload: bytes, path: str | Path) -> FrameRecord:
+def _frame(payload: bytes, path: Path) -> FrameRecord:
     with reading(path, "frames"), np.load(BytesIO(payload), allow_pickle=False) as arrays:
         if unpacked_bytes(arrays) > len(payload):  # the writer does not compress
             raise DataError("a frame claims to hold more than is stored")
