@@ -19,7 +19,7 @@ from lensshift.core.errors import DataError, naming
 from lensshift.core.types import Burst
 from lensshift.io import load_burst
 from lensshift.io.calibration_file import calibration_content
-from lensshift.io.capture_file import CaptureWriter, is_capture, refuse_taken
+from lensshift.io.capture_file import CaptureWriter, is_capture
 
 # What must be the same before and after a break: else the frames of one burst do not fit together.
 _SAME = ("plan", "frames", "average", "pitch_mm", "shape")
@@ -78,20 +78,6 @@ def finished(path: str | Path, plan_name: str) -> Burst | None:
         problem = f"the capture is complete, with plan {burst.meta.get('plan')!s:.60}"
         raise DataError(f"{problem}, not {plan_name}", field="plan", source=path)
     return burst
-
-
-def check_target(path: str | Path, *, resume: bool) -> None:
-    """Refuse a file that cannot be begun or gone on with, before any device is opened for it.
-
-    Raises
-    ------
-    DataError
-        As `opened`; whether it was begun in the same way is seen only there.
-    """
-    if resume and is_capture(path):
-        CaptureWriter.resume(path).close()
-    else:
-        refuse_taken(path)
 
 
 def set_aside(path: str | Path) -> Path | None:

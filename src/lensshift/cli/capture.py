@@ -105,7 +105,8 @@ def capture(current: Session, asked: _CaptureOptions) -> None:
 
 def _nothing_to_do(current: Session, asked: _CaptureOptions, plan: ShiftPlan | None) -> bool:
     """Look at the files before anything moves; tell whether the capture is complete already."""
-    from lensshift.capture.journal import check_target, finished
+    from lensshift.capture.journal import finished
+    from lensshift.io.capture_file import CaptureWriter, is_capture, refuse_taken
 
     out = asked.out
     check_netcdf(out, "a burst")
@@ -114,7 +115,10 @@ def _nothing_to_do(current: Session, asked: _CaptureOptions, plan: ShiftPlan | N
         return False
     done = finished(out, "scan" if plan is None else plan.name) if asked.resume else None
     if done is None:
-        check_target(out, resume=asked.resume)
+        if asked.resume and is_capture(out):  # whether it was begun in the same way is seen later
+            CaptureWriter.resume(out).close()
+        else:
+            refuse_taken(out)
         return False
     current.say(f"nothing to do: {out} is complete, {done.frame_count} frames")
     current.result |= _summary(done, {}) | {"files": [out]}

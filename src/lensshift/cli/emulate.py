@@ -210,7 +210,7 @@ def _still_world(scene: str, seed: int) -> EmulatedWorld:
 
 def _until_stopped(course: Course, counts: Callable[[], dict[str, int]], current: Session) -> None:
     """Wait for Ctrl-C, or so long; then say what was sent."""
-    current.ready()
+    current.say_json(current.result, indent=None)  # for who waits for it
     end_s = time.monotonic() + (math.inf if course.seconds is None else course.seconds)
     with suppress(KeyboardInterrupt):  # here it is the way out, not a failure
         if course.seconds is None:

@@ -96,7 +96,7 @@ def _show(
 
     def ready(address: str) -> None:
         current.result |= {"address": address, "source": frames.name}
-        current.ready()
+        current.say_json(current.result, indent=None)  # for who waits for it
         current.say(f"{frames.name}\nopen {address}\nCtrl-C ends it.")
         if asked.open_page:
             import webbrowser

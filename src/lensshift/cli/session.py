@@ -85,10 +85,6 @@ class Session:
         """Hand back some attributes of a value, by their names with blanks between."""
         self.result |= picked(value, names)
 
-    def ready(self) -> None:
-        """With --json: print the result so far, on one line, for who waits for it."""
-        self.say_json(self.result, indent=None)
-
     def say_json(self, value: dict[str, Any], *, indent: int | None = 2) -> None:
         """Print a value for programs; nothing without --json."""
         if self.as_json and self.stdout is not None:  # as where the caller closed it

@@ -150,7 +150,7 @@ def built(
     DataError if an entry is unknown, missing, of another type, or refused.
     """
     entries = fitted(make, table, where) | dict(beside or {})
-    for name, parameter in _parameters(make).items():
+    for name, parameter in parameters(make).items():
         if name not in entries and parameter.default is parameter.empty:
             raise DataError("expected this entry, which is missing", field=_joined(where, name))
     with about(where):
@@ -168,7 +168,7 @@ def fitted(make: Callable[..., Any], table: Mapping[str, Any], where: str) -> di
         hints = get_type_hints(make.__init__ if plain else make)
     except NameError as error:  # a name that only a type checker imports
         raise DataError(f"its annotations cannot be read: {error}", field=where) from error
-    names = [one for one in _parameters(make) if one[0] != "_" and hints.get(one) is not Any]
+    names = [one for one in parameters(make) if one[0] != "_" and hints.get(one) is not Any]
     only(table, names, where)
     return {
         key: fit(value, hints[key], _joined(where, key)) if key in hints else value
@@ -176,7 +176,7 @@ def fitted(make: Callable[..., Any], table: Mapping[str, Any], where: str) -> di
     }
 
 
-def _parameters(make: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+def parameters(make: Callable[..., Any]) -> dict[str, inspect.Parameter]:
     """Return what can be given by name."""
     try:
         found = inspect.signature(make).parameters

@@ -7,7 +7,6 @@ here knows that code.
 from __future__ import annotations
 
 import importlib
-import inspect
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -23,7 +22,7 @@ from lensshift.capture.rig import Camera, CameraFrame, OnHoming, Stage, goal_wit
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.grid import Grid
-from lensshift.core.settings import built, parse_json, to_json
+from lensshift.core.settings import built, parameters, parse_json, to_json
 
 T = TypeVar("T")
 
@@ -42,7 +41,8 @@ def python_stage(
     """
     make = _attribute(table, folder, "stage")
     offered = {"home": home, "on_homing": on_homing}
-    beside = {name: one for name, one in offered.items() if one is not None and _takes(make, name)}
+    takes = parameters(make)
+    beside = {name: one for name, one in offered.items() if one is not None and name in takes}
     return _CheckedStage(_made(make, table, "stage", Stage, beside))
 
 
@@ -67,13 +67,6 @@ def _attribute(table: Mapping[str, Any], folder: Path, what: str) -> Callable[..
     if not callable(found):
         raise DataError(f"expected a class or function, {name} is none", field=f"{what}.use")
     return found  # type: ignore[no-any-return]  # callable: just looked
-
-
-def _takes(make: Callable[..., Any], name: str) -> bool:
-    try:
-        return name in inspect.signature(make).parameters
-    except (TypeError, ValueError):  # some compiled code does not tell
-        return False
 
 
 def _made(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lensshift.capture.rig import Camera, CameraFrame
+from lensshift.capture.rig import Camera
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.defects import copied_frames
 from lensshift.optics.actuator import PIXEL_NOISE
@@ -74,10 +74,6 @@ def look(camera: Camera, patience_s: float) -> View:
         frames.append(camera.next_frame(patience_s))
         if len(frames) >= MOST_FRAMES:
             break
-    return _view(frames)
-
-
-def _view(frames: list[CameraFrame]) -> View:
     amplitude = np.stack([one.frame.amplitude for one in frames]).astype(np.float64)
     valid = np.stack([one.frame.valid for one in frames])
     cycles = frames[-1].cycle - frames[0].cycle
