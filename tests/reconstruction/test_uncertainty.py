@@ -21,6 +21,10 @@ SHAPE, SIGMA = (12, 18), 0.02
 INSIDE = (slice(3, -3), slice(3, -3))
 
 
+def _even_scene(row: np.ndarray, col: np.ndarray) -> np.ndarray:
+    return np.full(np.broadcast_shapes(row.shape, col.shape), 0.5)
+
+
 def _clean() -> np.ndarray:
     return photograph(edge_scene, SHAPE, SQUARE_PX)
 
@@ -53,6 +57,23 @@ def test_std_of_tikhonov_agrees_with_monte_carlo() -> None:
     spread = _spread("tikhonov", 120, **settings)[INSIDE]
     claimed = _claimed("tikhonov", 1, **settings)[INSIDE]
     assert np.sqrt(np.mean((claimed / spread - 1.0) ** 2)) < 0.15
+
+
+@pytest.mark.parametrize("method", ["tv", "l1-btv", "map", "irwsr"])
+@pytest.mark.parametrize("scene", [edge_scene, smooth_scene, _even_scene])
+def test_std_of_reweighted_methods_is_the_spread_of_their_answers(
+    scene: Scene, method: str
+) -> None:
+    """Of even scenes all pixels move together, which a few steps from the answer do not show."""
+    rng = np.random.default_rng(3)
+    clean = photograph(scene, SHAPE, SQUARE_PX)
+    bursts = [make_burst(clean + SIGMA * rng.standard_normal(clean.shape)) for _ in range(25)]
+    same = {"method": method, "noise_sigma": SIGMA, "psf_sigma_px": 0.3}
+    same["prior_weight"] = reconstruct(bursts[0], std=False, **same).amplitude.prior_weight
+    found = [reconstruct(burst, **same).amplitude for burst in bursts]
+    spread = np.sqrt(np.mean(np.var([one.image for one in found], axis=0, ddof=1)))
+    claimed = np.sqrt(np.mean([one.std**2 for one in found[:2]]))
+    assert claimed == pytest.approx(spread, rel=0.35)
 
 
 def test_std_of_shift_and_add_agrees_with_monte_carlo() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -33,8 +34,6 @@ from lensshift.reconstruction.uncertainty import PropagatedStd
 
 # How often picture and weight of a prior are found in turn; by then it moves by some per cent.
 WEIGHT_ROUNDS = 3
-# Reweightings that answer a replicate of the noise, which begins at the estimate.
-REPLICATE_STEPS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +64,9 @@ class _Penalised(Method):
         estimate = replace(found, image=image, noise_sigma=sigma or found.noise_sigma)
         if not request.std:
             return estimate
-        y, w = self._arrays(problem)
         std = PropagatedStd(
-            self._again(fit, estimate), problem.model, y, w, image.astype(y.dtype),
-            estimate.noise_sigma or 0.0, request.seed,
+            partial(self._image, replace(fit, prior_weight=found.prior_weight or 0.0), problem),
+            problem.y, problem.weight, estimate.noise_sigma or 0.0, request.seed,
         )  # fmt: skip
         return replace(estimate, uncertainty=std)
 
@@ -83,16 +81,16 @@ class _Penalised(Method):
         """Return the weight, or the rule for it, where none is given."""
         return fit.prior_weight
 
-    def _again(self, fit: Reweighted, estimate: Estimate) -> Reweighted:
-        """Return what answers other noise, from the estimate on."""
-        return replace(fit, iterations=REPLICATE_STEPS)
-
     def _arrays(self, problem: Problem) -> tuple[Array, Array]:
         """Return frames and weights in the precision to compute in."""
         return problem.y, problem.weight
 
     def _start(self, problem: Problem, y: Array, w: Array) -> Array | None:
         return None
+
+    def _image(self, fit: Reweighted, problem: Problem, y: Array) -> Array:
+        """Return the picture of other frames."""
+        return self._run(fit, replace(problem, y=y)).image
 
     def _run(self, fit: Reweighted, problem: Problem, **more: Any) -> Estimate:
         y, w = self._arrays(problem)
@@ -120,14 +118,6 @@ class _Sparse(_Penalised):
             non_negative=request.non_negative,
         )  # fmt: skip
         return fit, told
-
-    def _again(self, fit: Reweighted, estimate: Estimate) -> Reweighted:
-        # Edges as soft as the noise, so that they can move a little.
-        sigma = estimate.noise_sigma or 0.0
-        return replace(
-            fit, prior=SparseDifferences(fit.prior.degree, 1.5 * sigma), noise_sigma=sigma,
-            prior_weight=estimate.prior_weight or 0.0, iterations=REPLICATE_STEPS,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,6 @@ import numpy as np
 from lensshift.core.arrays import Array, Floats
 from lensshift.forward.differences import (
     Directions,
-    add_weighted_laplacian,
     differences,
     half_plane,
 )
@@ -59,13 +58,6 @@ class Prior:
     def renewed(self, x: Array, sigma: float) -> Prior:
         """Return the prior for the next step from x, where the noise of an LR pixel is sigma."""
         return self
-
-
-def gradient(prior: Prior, x: Array) -> Array:
-    """Return the gradient [row col] of a prior; of a complex x with respect to both parts."""
-    out = np.zeros_like(x)
-    add_weighted_laplacian(x, 2.0 * prior.coefficients(x), prior.directions, out)
-    return out
 
 
 def squared_differences(x: Array, directions: Directions) -> Array:

@@ -8,10 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from lensshift.core.arrays import Array, Floats
-from lensshift.forward.model import ForwardModel
-from lensshift.reconstruction.solver import Reweighted
 
 REPLICATES = 12
+
+
+def white_noise(rng: np.random.Generator, y: Array, weight: Array) -> Array:
+    """Return noise for y, of variance 1 / weight in each part of a number (1 at weight 0)."""
+    noise = rng.standard_normal(y.shape)
+    if y.dtype.kind == "c":
+        noise = noise + 1j * rng.standard_normal(y.shape)
+    return np.asarray(noise / np.sqrt(np.where(weight > 0, weight, 1.0)))
 
 
 def propagated_std(
@@ -43,19 +49,10 @@ def propagated_std(
     from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng(seed)
-    sigma = np.full(y.shape, noise_sigma)
-    if weight is not None:
-        sigma /= np.sqrt(np.where(weight > 0, weight, 1.0))
-    answers = []
-    for _ in range(replicates):
-        noise = rng.standard_normal(y.shape)
-        if y.dtype.kind == "c":
-            noise = noise + 1j * rng.standard_normal(y.shape)
-        answers.append(resolve(y + sigma * noise))
-    stack = np.stack(answers)
-    variance = np.mean(np.abs(stack - stack.mean(axis=0)) ** 2, axis=0)
-    variance *= replicates / (replicates - 1)
-    if stack.dtype.kind == "c":
+    weight = np.ones(y.shape) if weight is None else weight
+    answers = [resolve(y + noise_sigma * white_noise(rng, y, weight)) for _ in range(replicates)]
+    variance = np.var(answers, axis=0, ddof=1)
+    if y.dtype.kind == "c":
         variance /= 2.0
     if smooth_hr_px > 0:
         variance = gaussian_filter(variance, smooth_hr_px, mode="nearest")
@@ -68,30 +65,22 @@ class PropagatedStd:
 
     Parameters
     ----------
-    fit : what answers other noise on the frames
-    model : of the frames
+    resolve : frames [frame row col] -> HR image [row col], as the estimate was found
     y, weight : [frame row col]
-    image : [row col] the estimate, where the answers begin
     noise_sigma : of one LR pixel (per component if complex)
     seed : of the replicates
     unit : what 1 stands for in the result
     """
 
-    fit: Reweighted
-    model: ForwardModel
+    resolve: Callable[[Array], Array]
     y: Array
     weight: Array
-    image: Array
     noise_sigma: float
     seed: int = 0
     unit: float = 1.0
 
     def __call__(self) -> Floats:
         """Return the standard deviation [row col]."""
-        A = self.model.operator
-
-        def resolve(values: Array) -> Array:
-            return self.fit(A, values.astype(self.y.dtype), self.weight, self.image).image
-
-        std = propagated_std(resolve, self.y, self.noise_sigma, weight=self.weight, seed=self.seed)
-        return std * self.unit
+        return self.unit * propagated_std(
+            self.resolve, self.y, self.noise_sigma, weight=self.weight, seed=self.seed
+        )

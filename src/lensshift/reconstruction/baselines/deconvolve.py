@@ -7,9 +7,9 @@ from typing import Any, Literal
 import numpy as np
 
 from lensshift.core.arrays import Array, Floats
-from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.reconstruction.baselines.interpolate import cubic_taps, resampled
 from lensshift.reconstruction.baselines.result import Baseline
+from lensshift.reconstruction.noise import robust_scale
 
 Restoration = Literal["wiener", "unsupervised", "richardson-lucy"]
 
@@ -58,21 +58,17 @@ def deconvolution(
     blurred = resampled(frame, weight, offset_px, scale, cubic_taps).image
     sigma = frame_noise(frame, weight) if noise_sigma is None else noise_sigma
     balance = _balance(blurred, offset_px, scale, sigma)
-    if not np.iscomplexobj(blurred):
-        return Baseline(_restore(blurred, psf_sigma_px * scale, balance, method))
-    if method == "richardson-lucy":
+    if method == "richardson-lucy" and np.iscomplexobj(blurred):
         raise ValueError("richardson-lucy wants values that are not negative, got complex")
-    real, imag = (
-        _restore(part, psf_sigma_px * scale, balance, method)
-        for part in (blurred.real, blurred.imag)
-    )
-    return Baseline(real + 1j * imag)
+    parts = (blurred.real, blurred.imag) if np.iscomplexobj(blurred) else (blurred,)
+    restored = [_restore(part, psf_sigma_px * scale, balance, method) for part in parts]
+    return Baseline(restored[0] if len(restored) == 1 else restored[0] + 1j * restored[1])
 
 
 def frame_noise(frame: Array, weight: Floats) -> float:
     """Estimate the noise of a pixel from the 2 x 2 diagonal differences of one frame.
 
-        sigma = 1.4826 median |(a - b - c + d) / 2|
+        sigma = 1.4826 MAD((a - b - c + d) / 2)
 
     Ramps and straight edges along an axis cancel; texture does not, so it errs upwards. Of
     complex frames it is the noise of one component. 0 where no 2 x 2 block is valid.
@@ -85,9 +81,7 @@ def frame_noise(frame: Array, weight: Floats) -> float:
         return 0.0
     corners = (frame[:-1, :-1], frame[:-1, 1:], frame[1:, :-1], frame[1:, 1:])
     a, b, c, d = (corner[whole] for corner in corners)
-    cross = 0.5 * (a - b - c + d)
-    parts = np.concatenate((cross.real, cross.imag)) if np.iscomplexobj(cross) else cross
-    return MAD_TO_SIGMA * float(np.median(np.abs(parts)))
+    return robust_scale(0.5 * (a - b - c + d))
 
 
 def gaussian_psf(sigma_hr_px: float) -> Floats:
@@ -139,8 +133,8 @@ def _balance(image: Array, offset_px: Floats, scale: int, noise_sigma: float) ->
     everywhere = np.ones_like(impulse)
     answer = laplace(resampled(impulse, everywhere, offset_px % 1.0, scale, cubic_taps).image)
     from_noise = noise_sigma**2 * float(np.sum(answer**2)) / scale**2
-    components = (image.real, image.imag) if np.iscomplexobj(image) else (image,)
-    rough = float(np.mean([np.mean(laplace(part, mode="nearest") ** 2) for part in components]))
+    parts = 2 if np.iscomplexobj(image) else 1
+    rough = float(np.mean(np.abs(laplace(image, mode="nearest")) ** 2)) / parts
     if rough == 0:
         return 1.0
     return _LEAST_BALANCE + noise_sigma**2 / max(rough - from_noise, _LEAST_DETAIL * rough)
