@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pixel_camera import SQUARE_PX, edge_scene, interior_psnr, photograph, truth
 
+from lensshift.core.types import Burst
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.least_squares import NEIGHBOURS, solve_penalised
 from lensshift.forward.model import forward_model
@@ -17,7 +18,8 @@ from lensshift.reconstruction.priors import (
     SparseDifferences,
     TotalVariation,
 )
-from lensshift.reconstruction.selection import cross_validate, prior_share
+from lensshift.reconstruction.reconstruct import reconstruct
+from lensshift.reconstruction.selection import cross_validate, prior_share, softer_weight
 from lensshift.reconstruction.solver import MaximumAPosteriori, Reweighted
 
 SHAPE = (14, 18)
@@ -146,3 +148,85 @@ def test_a_wider_blur_hides_more_of_the_differences() -> None:
     assert shares == sorted(shares, reverse=True)
     assert prior_share(0.0) == prior_share(0.3)
     assert prior_share(1.0) == pytest.approx(0.45)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("sigma", [0.2, 0.02])
+def test_the_softer_weight_leaves_what_noise_is(A: LinearOperator, sigma: float, seed: int) -> None:
+    y = photograph(edge_scene, SHAPE, SQUARE_PX)
+    y += sigma * np.random.default_rng(seed).standard_normal(y.shape)
+    solve, ones = _solver(A, y), np.ones(y.shape)
+
+    def at(value: float, frames: np.ndarray) -> np.ndarray:
+        return _solver(A, frames)(value, ones)
+
+    chosen = softer_weight(at, A, y, ones, 10.0, sigma)
+    left, before = (
+        np.mean((y - A.forward(solve(one, ones))) ** 2) for one in (chosen, chosen * 10**0.5)
+    )
+    assert left <= sigma**2 < before or chosen == 10.0
+    expected = truth(edge_scene, SHAPE, 2)
+    best = max(interior_psnr(solve(10.0**e, ones), expected) for e in np.arange(-5, 1, 0.25))
+    assert interior_psnr(solve(chosen, ones), expected) > best - 3.0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_noise_that_is_told_too_small_does_not_let_the_picture_follow_it(
+    A: LinearOperator, seed: int
+) -> None:
+    """With 16 frames at x2 a picture leaves three quarters of the noise, whatever the weight."""
+    offset_px = np.random.default_rng(seed).uniform(-0.5, 0.5, (16, 2))
+    A = forward_model(SHAPE, 2, offset_px, blur=GaussianBlur(0.3)).operator
+    y = photograph(edge_scene, SHAPE, offset_px)
+    y += 0.2 * np.random.default_rng(seed).standard_normal(y.shape)
+    ones = np.ones(y.shape)
+
+    def at(value: float, frames: np.ndarray) -> np.ndarray:
+        return _solver(A, frames)(value, ones)
+
+    expected = truth(edge_scene, SHAPE, 2)
+    right, wrong = (
+        interior_psnr(at(softer_weight(at, A, y, ones, 10.0, sigma), y), expected)
+        for sigma in (0.2, 0.1)
+    )
+    assert wrong > right - 1.0
+    assert interior_psnr(at(1e-6, y), expected) < right - 3.0
+
+
+def test_the_softer_weight_of_complex_frames_is_that_of_their_parts(A: LinearOperator) -> None:
+    rng = np.random.default_rng(0)
+    y = photograph(edge_scene, SHAPE, SQUARE_PX)
+
+    def at(value: float, frames: np.ndarray) -> np.ndarray:
+        parts = [_solver(A, part)(value, np.ones(y.shape)) for part in (frames.real, frames.imag)]
+        return parts[0] + 1j * parts[1] if frames.dtype.kind == "c" else parts[0]
+
+    one, two = y + 0.1 * rng.standard_normal((2, *y.shape))
+    both = softer_weight(at, A, one + 1j * two, np.ones(y.shape), 10.0, 0.1)
+    alone = [softer_weight(at, A, part, np.ones(y.shape), 10.0, 0.1) for part in (one, two)]
+    assert min(alone) / 4 < both < max(alone) * 4
+
+
+METHODS = ["tikhonov", "tv", "l1-btv", "map", "irwsr"]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("sigma", [0.1, 0.01])
+def test_no_method_blurs_a_scene_away_in_noise(method: str, sigma: float, seed: int) -> None:
+    """Two frames show little, and a prior that believes its own picture ends with none."""
+    rng = np.random.default_rng(seed)
+    offset_px = rng.uniform(-0.5, 0.5, (2, 2))
+    frames = photograph(edge_scene, (20, 20), offset_px)
+    frames += sigma * rng.standard_normal(frames.shape)
+    burst = Burst.from_arrays(frames, offset_px=offset_px, pitch_mm=0.1)
+    expected = truth(edge_scene, (20, 20), 2)
+
+    def quality(weight: float | None) -> float:
+        found = reconstruct(
+            burst, 2, method, psf_sigma_px=0.289, prior_weight=weight, std=False
+        ).amplitude
+        assert found is not None
+        return interior_psnr(found.image, expected)
+
+    assert quality(None) > max(quality(10.0**e) for e in range(-5, 1)) - 2.5

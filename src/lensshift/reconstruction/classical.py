@@ -10,7 +10,6 @@ import numpy as np
 
 from lensshift.core.arrays import Array
 from lensshift.core.types import Estimate
-from lensshift.forward.least_squares import smooth_fit
 from lensshift.reconstruction.losses import (
     LEAST_SIGMA,
     LOSSES,
@@ -23,17 +22,9 @@ from lensshift.reconstruction.method import Method, Request, Weight
 from lensshift.reconstruction.options import one_of, option, positive, weight, whole
 from lensshift.reconstruction.priors import PRIORS, BilateralTotalVariation, SparseDifferences
 from lensshift.reconstruction.problem import Problem, peak_of
-from lensshift.reconstruction.selection import cross_validate, prior_share
-from lensshift.reconstruction.solver import (
-    START_STEPS,
-    START_STIFFNESS,
-    MaximumAPosteriori,
-    Reweighted,
-)
+from lensshift.reconstruction.selection import cross_validate, prior_share, softer_weight
+from lensshift.reconstruction.solver import MaximumAPosteriori, Reweighted
 from lensshift.reconstruction.uncertainty import PropagatedStd
-
-# How often picture and weight of a prior are found in turn; by then it moves by some per cent.
-WEIGHT_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +36,8 @@ class _Penalised(Method):
     def __call__(self, problem: Problem, request: Request) -> Estimate:
         """Return the estimate, at the weight of the prior that is given or found."""
         fit, sigma = self._fit(problem, request)
-        chosen: float | MaximumAPosteriori
-        if self.prior_weight == "cross-validation":
+        chosen = self.prior_weight
+        if chosen == "cross-validation":
             chosen = cross_validate(
                 lambda value, part: self._run(
                     replace(fit, prior_weight=value), replace(problem, weight=part)
@@ -54,8 +45,8 @@ class _Penalised(Method):
                 problem.model.operator, problem.y, problem.weight, request.seed,
                 request.on_iteration,
             )  # fmt: skip
-        else:
-            chosen = self._found(fit, problem) if self.prior_weight is None else self.prior_weight
+        elif chosen is None:
+            chosen = self._found(fit, problem, request.seed)
         fit = replace(fit, prior_weight=chosen)
         found = self._run(fit, problem, on_iteration=request.on_iteration)
         image = np.asarray(found.image, np.result_type(found.image, np.float64))
@@ -65,21 +56,33 @@ class _Penalised(Method):
         if not request.std:
             return estimate
         std = PropagatedStd(
-            partial(self._image, replace(fit, prior_weight=found.prior_weight or 0.0), problem),
-            problem.y, problem.weight, estimate.noise_sigma or 0.0, request.seed,
+            partial(self._image, fit, problem), problem.y, problem.weight,
+            estimate.noise_sigma or 0.0, request.seed,
         )  # fmt: skip
         return replace(estimate, uncertainty=std)
 
     def _fit(self, problem: Problem, request: Request) -> tuple[Reweighted, float | None]:
-        """Return what is minimised, and the noise of an LR pixel; None: that of the residual.
-
-        Its weight of the prior counts where none is given.
-        """
+        """Return what is minimised, and the noise of an LR pixel; None: that of the residual."""
         raise NotImplementedError
 
-    def _found(self, fit: Reweighted, problem: Problem) -> float | MaximumAPosteriori:
-        """Return the weight, or the rule for it, where none is given."""
-        return fit.prior_weight
+    def _found(self, fit: Reweighted, problem: Problem, seed: int) -> float:
+        """Find the weight: as the prior would have it, but softer where that leaves the scene."""
+        shown, weight = problem.shown_noise, problem.telling_weight
+        squares = isinstance(fit.loss, Squares)
+        if not squares:  # squares feel the outliers, the other losses hardly do
+            weight = np.where(shown.inlier, weight, 0.0)
+        shows = max(shown.total if squares else shown.effective, LEAST_SIGMA)
+        felt = problem.noise_sigma or shows
+        size = felt if isinstance(fit.loss, Absolute) else 2.0 * felt**2
+        rule = MaximumAPosteriori(size * prior_share(problem.blur_sigma_px * problem.scale))
+        most = self._run(replace(fit, prior_weight=rule), problem).prior_weight or 0.0
+        shows *= float(np.sqrt(np.mean(weight[weight > 0])))
+
+        def solve(value: float, y: Array) -> Array:
+            return self._image(replace(fit, prior_weight=value), problem, y)
+
+        sigma = max(felt, problem.told_sigma or 0.0, shows)  # errors of the model are no scene
+        return softer_weight(solve, problem.model.operator, problem.y, weight, most, sigma, seed)
 
     def _arrays(self, problem: Problem) -> tuple[Array, Array]:
         """Return frames and weights in the precision to compute in."""
@@ -111,11 +114,9 @@ class _Sparse(_Penalised):
             noise = problem.shown_noise
             # Squares feel the outliers.
             told, felt = max(noise.sigma, LEAST_SIGMA), max(noise.total, LEAST_SIGMA)
-        share = prior_share(problem.blur_sigma_px * problem.scale)
         fit = Reweighted(
-            Squares(), SparseDifferences(exponent), MaximumAPosteriori(2.0 * share * felt**2),
-            noise_sigma=felt, iterations=iterations, inner_iterations=inner, tolerance=2e-4,
-            non_negative=request.non_negative,
+            Squares(), SparseDifferences(exponent), 1.0, noise_sigma=felt, iterations=iterations,
+            inner_iterations=inner, tolerance=2e-4, non_negative=request.non_negative,
         )  # fmt: skip
         return fit, told
 
@@ -171,26 +172,6 @@ class _Robust(_Penalised):
                 f"{self.name} expects real frames; use tikhonov, tv or auto for phasors"
             )
         return super(_Robust, self).__call__(problem, request)
-
-    def _found(self, fit: Reweighted, problem: Problem) -> float:
-        """Find picture and weight in turn, before the run that counts."""
-        noise = problem.noise_sigma
-        if noise is None:
-            found = problem.shown_noise
-            # Squares feel the outliers; the other losses hardly do.
-            noise = found.total if isinstance(fit.loss, Squares) else found.effective
-        noise = max(noise, LEAST_SIGMA)
-        share = prior_share(problem.blur_sigma_px * problem.scale)
-        absolute = isinstance(fit.loss, Absolute)
-        rule = MaximumAPosteriori(share * (noise if absolute else 2.0 * noise**2))
-        y, w = problem.y, problem.weight
-        x = smooth_fit(problem.model.operator, y, w, START_STIFFNESS, START_STEPS)
-        x = x.astype(self._arrays(problem)[0].dtype)
-        chosen = 0.0
-        for _ in range(WEIGHT_ROUNDS):
-            chosen = rule(fit.prior, x)
-            x = self._run(replace(fit, prior_weight=chosen), problem, x0=x).image
-        return chosen
 
 
 @dataclass(frozen=True, slots=True)

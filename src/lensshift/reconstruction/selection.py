@@ -9,11 +9,15 @@ import numpy as np
 from lensshift.core.arrays import Array
 from lensshift.forward.operator import LinearOperator
 from lensshift.reconstruction.noise import robust_scale
+from lensshift.reconstruction.uncertainty import white_noise
 
 # A tenth of the pixels tells the error of a weight to some per cent and leaves a picture to fit.
 HELD_OUT = 0.1
 # A residual counts up to this many robust deviations.
 CLIP_SIGMAS = 3.0
+# Decades below the weight that is thought to be right, and the share of the frames that a fit may
+# follow: of a larger one too little is left to judge by.
+SOFTEST, MOST_FOLLOWED = 4.0, 0.98
 
 
 def prior_share(blur_hr_px: float) -> float:
@@ -23,6 +27,55 @@ def prior_share(blur_hr_px: float) -> float:
     scales the weight that the maximum a posteriori rule gives to a prior.
     """
     return float(0.45 * max(blur_hr_px, 0.3) ** -1.5)
+
+
+def softer_weight(
+    solve: Callable[[float, Array], Array],
+    A: LinearOperator,
+    y: Array,
+    weight: Array,
+    stiffest: float,
+    noise_sigma: float,
+    seed: int = 0,
+) -> float:
+    """Return a weight of the prior up to `stiffest` at which noise alone is left of the frames.
+
+        sum w |y - A x|^2 <= M sigma^2
+
+    (Morozov's discrepancy), looked for in halves of a decade. As the noise may be more than is
+    known, the one of those on the way is taken that predicts the frames best by generalised
+    cross-validation,
+
+        V = (sum w |y - A x|^2 / M) / (1 - gamma / M)^2,   gamma = tr dA x / dy
+
+    with gamma from the answer to a draw of noise, of the size of what is left.
+
+    Parameters
+    ----------
+    solve : (lambda, frames [frame row col]) -> HR image
+    weight : [frame row col] of the pixels that judge, 0 of the others
+    noise_sigma : of a pixel of weight 1, per component if complex
+
+    Source: Golub, Heath and Wahba 1979, doi 10.1080/00401706.1979.10489751; Girard 1989.
+    """
+    noise = white_noise(np.random.default_rng(seed), y, weight)
+    count = np.count_nonzero(weight) * (2 if y.dtype.kind == "c" else 1)
+    best, least = stiffest, np.inf
+    for value in stiffest * 10.0 ** -np.arange(0.0, SOFTEST + 0.1, 0.5):
+        x = solve(value, y)
+        left = float(np.sum(weight * np.abs(y - A.forward(x)) ** 2)) / count
+        enough = left <= noise_sigma**2
+        if enough and value == stiffest:
+            break
+        size = np.sqrt(max(left, noise_sigma**2))
+        moved = A.forward(solve(value, y + size * noise) - x)
+        share = float(np.vdot(weight * noise, moved).real) / (size * count)
+        risk = left / (1.0 - np.clip(share, 0.0, MOST_FOLLOWED)) ** 2
+        if risk < least:
+            best, least = float(value), risk
+        if enough:
+            break
+    return best
 
 
 def cross_validate(
