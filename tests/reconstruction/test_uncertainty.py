@@ -76,6 +76,22 @@ def test_std_of_reweighted_methods_is_the_spread_of_their_answers(
     assert claimed == pytest.approx(spread, rel=0.35)
 
 
+@pytest.mark.parametrize("method", ["tikhonov", "map"])
+def test_std_is_that_of_the_variances_that_were_told(method: str) -> None:
+    rng = np.random.default_rng(4)
+    clean = photograph(smooth_scene, SHAPE, SQUARE_PX)
+    sigma = np.where(np.arange(SHAPE[1]) < 9, 0.005, 0.03) * np.ones(clean.shape)
+    same = {"method": method, "pixel_variance": sigma**2, "psf_sigma_px": 0.3, "prior_weight": 0.01}
+    found = [
+        reconstruct(make_burst(clean + sigma * rng.standard_normal(clean.shape)), **same).amplitude
+        for _ in range(30)
+    ]
+    spread = np.std([one.image for one in found], axis=0, ddof=1)
+    for half in (slice(2, 15), slice(21, -2)):
+        claimed, expected = (np.sqrt(np.mean(s[:, half] ** 2)) for s in (found[0].std, spread))
+        assert claimed == pytest.approx(expected, rel=0.25)
+
+
 def test_std_of_shift_and_add_agrees_with_monte_carlo() -> None:
     spread = _spread("shift-and-add", 120)[INSIDE]
     claimed = _claimed("shift-and-add", 1, noise_sigma=SIGMA)[INSIDE]

@@ -72,7 +72,7 @@ class _Penalised(Method):
         if not squares:  # squares feel the outliers, the other losses hardly do
             weight = np.where(shown.inlier, weight, 0.0)
         shows = max(shown.total if squares else shown.effective, LEAST_SIGMA)
-        felt = problem.noise_sigma or shows
+        felt = problem.told or shows
         size = felt if isinstance(fit.loss, Absolute) else 2.0 * felt**2
         rule = MaximumAPosteriori(size * prior_share(problem.blur_sigma_px * problem.scale))
         most = self._run(replace(fit, prior_weight=rule), problem).prior_weight or 0.0
@@ -81,7 +81,7 @@ class _Penalised(Method):
         def solve(value: float, y: Array) -> Array:
             return self._image(replace(fit, prior_weight=value), problem, y)
 
-        sigma = max(felt, problem.told_sigma or 0.0, shows)  # errors of the model are no scene
+        sigma = max(felt, shows)  # errors of the model are no scene
         return softer_weight(solve, problem.model.operator, problem.y, weight, most, sigma, seed)
 
     def _arrays(self, problem: Problem) -> tuple[Array, Array]:
@@ -109,7 +109,7 @@ class _Sparse(_Penalised):
     def _sparse(
         self, problem: Problem, request: Request, exponent: float, iterations: int, inner: int
     ) -> tuple[Reweighted, float | None]:
-        told = felt = problem.noise_sigma
+        told = felt = problem.told
         if felt is None:
             noise = problem.shown_noise
             # Squares feel the outliers.
@@ -200,7 +200,7 @@ class L1Btv(_Robust):
     def _fit(self, problem: Problem, request: Request) -> tuple[Reweighted, float | None]:
         prior = BilateralTotalVariation(self.window, self.alpha)
         fit = Reweighted(Absolute(), prior, 1.0, iterations=self.iterations)
-        return fit, problem.noise_sigma
+        return fit, problem.told
 
 
 # What the priors of `map` can be told.
@@ -235,20 +235,15 @@ class MaximumPosterior(_Robust):
 
     def __post_init__(self) -> None:
         super(MaximumPosterior, self).__post_init__()
-        others = {name for names in _OF_PRIOR.values() for name in names}
-        idle = [
-            name
-            for name in sorted(others - set(_OF_PRIOR[self.prior]))
-            if getattr(self, name) is not None
-        ]
-        if idle:
+        told = {n for names in _OF_PRIOR.values() for n in names if getattr(self, n) is not None}
+        if idle := sorted(told - set(_OF_PRIOR[self.prior])):
             raise ValueError(f"prior {self.prior} does not know {', '.join(idle)}")
 
     def _fit(self, problem: Problem, request: Request) -> tuple[Reweighted, float | None]:
         told = {name: getattr(self, name) for name in _OF_PRIOR[self.prior]}
         prior = PRIORS[self.prior](**{name: v for name, v in told.items() if v is not None})
         loss: Loss = LOSSES[self.data_term]()
-        return Reweighted(loss, prior, 1.0, iterations=self.iterations), problem.noise_sigma
+        return Reweighted(loss, prior, 1.0, iterations=self.iterations), problem.told
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,7 +281,7 @@ class Irwsr(_Robust):
             Confidences(), prior, 1.0, iterations=self.iterations,
             inner_iterations=self.inner_iterations, solved=0.0,
         )  # fmt: skip
-        return fit, problem.noise_sigma
+        return fit, problem.told
 
     def _arrays(self, problem: Problem) -> tuple[Array, Array]:
         return problem.y.astype(np.float32), problem.weight.astype(np.float32)

@@ -82,6 +82,11 @@ class Problem:
         """One offset [frame 2] per frame: plain methods move whole frames and can do no better."""
         return self.model.mean_offset_px
 
+    @property
+    def told(self) -> float | None:
+        """The noise of a pixel of weight 1, if somebody told it."""
+        return self.told_sigma or self.noise_sigma
+
     def judging(self, sigma: Floats) -> Floats:
         """Return the noise [frame row col] of pixels that may object, infinite of the others."""
         if self.clipped is None:
