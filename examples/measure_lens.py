@@ -125,13 +125,12 @@ def main() -> None:
     print(f"{100 * np.mean(inside):.0f} % within their 95 % interval")
     series, fits = focus_series(edges)
     for zone, fit in fits.items():
-        print(f"best focus {zone}: {fit.focus:.2f} +- {fit.sigma:.2f} um")
-    rows = [row | {"mtf50": row["mtf50_lpmm"]} for row in series]
+        print(f"best focus {zone}: {fit} um")
     page = chart_page(
         edges,
         [(one.name, one.first) for one in pictures],
         unit="cycles/px",
-        series=rows,
+        series=series,
         fits=fits,
         focus_label="focus (um)",
     )

@@ -180,6 +180,25 @@ def test_three_photographs_tell_the_error_of_the_focus_by_their_own() -> None:
     assert np.isnan(best_focus(focus, 10 - (focus - 0.2) ** 2).sigma)
 
 
+@pytest.mark.parametrize("photographs", [4, 5, 9, 21, 41])
+@pytest.mark.parametrize("noise", [0.003, 0.02])
+def test_more_photographs_tell_the_focus_better_and_their_interval_holds(
+    photographs: int, noise: float
+) -> None:
+    """Of 41 photographs the five at the largest, which noise chose, were 0.22 off rms."""
+    rng = np.random.default_rng(photographs)
+    errors, inside = [], []
+    for _ in range(100):
+        best, place = rng.uniform(-1.0, 1.0), np.linspace(-2.0, 2.0, photographs)
+        half = 40.0 / np.sqrt(1.0 + (place - best) ** 2)
+        std = np.full(photographs, noise * 40.0)
+        fit = best_focus(place, half + rng.normal(0.0, std), std)
+        errors.append(fit.focus - best)
+        inside.append(fit.low <= best <= fit.high)
+    assert np.mean(inside) >= 0.85  # of 95 %, three standard errors
+    assert np.sqrt(np.mean(np.square(errors))) < 5.0 * noise / np.sqrt(photographs)
+
+
 @pytest.mark.parametrize(
     ("focus", "mtf50", "message"),
     [
@@ -203,13 +222,46 @@ def test_through_focus(edges: list[ChartEdge]) -> None:
             for one in edges
         ]  # fmt: skip
 
-    series, fits = focus_series([one for focus in (-2.0, 0.0, 2.0, 4.0) for one in at(focus)])
+    series, fits = focus_series([one for focus in (2.0, -2.0, 4.0, 0.0) for one in at(focus)])
     assert {row["zone"] for row in series} == set(fits)
     assert all(fit.focus == pytest.approx(1.0, abs=1e-6) for fit in fits.values())
     _, fits = focus_series([one for focus in (-2.0, 0.0, 3.0) for one in at(focus)])
     assert all(0.0 < fit.sigma < 1.0 for fit in fits.values())
     with pytest.warns(QualityWarning, match=r"no best focus .*: the sharpest photograph"):
         focus_series([one for focus in (-2.0, 0.0, 1.0) for one in at(focus)])
+
+
+def through_focus(edges: list[ChartEdge], places: dict[float, float]) -> list[ChartEdge]:
+    """Return a series of a lens with astigmatism; each focus is told as another one."""
+
+    def at(one: ChartEdge, focus: float) -> ChartEdge:
+        best = 1.0 if one.direction == "sagittal" else -1.0
+        factor = 1.0 / np.hypot(1.0, 0.4 * (focus - best))
+        half = one.result.mtf50_lpmm.scaled(factor)
+        return replace(one, focus=places[focus], result=replace(one.result, mtf50_lpmm=half))
+
+    return [at(one, focus) for focus in places for one in edges]
+
+
+def test_sagittal_and_tangential_lines_have_their_own_focus(edges: list[ChartEdge]) -> None:
+    """Their mean has one between the two, where neither is sharp."""
+    turned = [replace(one, direction="tangential") for one in edges]  # at the same places
+    told = through_focus([*edges, *turned], {z: z for z in (-6.0, -3.0, 0.0, 2.0, 4.0, 7.0)})
+    _, fits = focus_series(told)
+    assert len(fits) == 2 * len({zone.rpartition(" ")[0] for zone in fits})
+    for zone, fit in fits.items():
+        assert fit.focus == pytest.approx(1.0 if zone.endswith("sagittal") else -1.0, abs=1e-6)
+
+
+def test_positions_in_another_order_than_the_photographs_are_asked_about(
+    edges: list[ChartEdge],
+) -> None:
+    right = {z: z for z in (-6.0, -3.0, 0.0, 2.0, 4.0, 7.0)}
+    with warnings.catch_warnings(action="error"):
+        focus_series(through_focus(edges, right))
+    by_name = right | {-6.0: -3.0, -3.0: -6.0}
+    with pytest.warns(QualityWarning, match="in the order of the photographs"):
+        focus_series(through_focus(edges, by_name))
 
 
 @pytest.mark.parametrize(("photographs", "expected"), [(1, 1), (2, 3)])

@@ -63,21 +63,17 @@ def chart(current: Session, asked: _ChartOptions) -> None:
         edges = measure_chart(pictures, pitch.pitch_mm, on_edge=progress.count, **told)
     wanted = [one / unit.factor for one in asked.edges.at or []]
     series, fits = focus_series(edges) if asked.focus is not None else ([], {})
-    fits = {zone: one.scaled(unit.factor) for zone, one in fits.items()}
     acutances = _acutances(pictures, edges, pitch.pitch_mm[0], asked.eye_heights)
     rows = list(edge_rows(edges, wanted, unit.factor))
     current.result |= {"unit": unit.name, "edges": rows}
     _tell(current, edges, unit, acutances)
     ending = f" {asked.focus_unit}" if asked.focus_unit else ""
-    for zone, one in fits.items():
-        current.say(
-            f"best focus {zone:<9} {one.focus:.4g} +- {one.sigma:.2g}{ending}, "
-            f"MTF50 {one.mtf50_lpmm:.4g} {unit.name}"
-        )
     current.result |= {"acutance": acutances, "eye_heights": asked.eye_heights}
-    current.result["best_focus"] = {
-        zone: picked(one, "focus sigma") | {"mtf50": one.mtf50_lpmm} for zone, one in fits.items()
-    }
+    current.result["best_focus"] = found = {}
+    for zone, one in fits.items():
+        half = one.mtf50_lpmm * unit.factor
+        found[zone] = picked(one, "focus sigma low high") | {"mtf50": half}
+        current.say(f"best focus {zone:<20} {one}{ending}, MTF50 {half:.4g} {unit.name}")
     suffix = f"_{unit.name.replace('/', '_per_').lower()}"
     endings = {name: suffix for name in rows[0] if name.startswith(("mtf50", "mtf30", "mtf10"))}
     columns = {name + endings.get(name, ""): [row[name] for row in rows] for name in rows[0]}
@@ -98,7 +94,7 @@ def chart(current: Session, asked: _ChartOptions) -> None:
             **unit.shown(),
             at_lpmm=wanted,
             acutances=acutances,
-            series=[row | {"mtf50": row["mtf50_lpmm"] * unit.factor} for row in series],
+            series=series,
             fits=fits,
             focus_label=f"focus ({asked.focus_unit})" if asked.focus_unit else "focus",
         ).save(asked.report)

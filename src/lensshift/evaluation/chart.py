@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
 from lensshift.core.arrays import Floats
 from lensshift.core.optical import MtfCurve
@@ -21,6 +23,7 @@ ZONES = (("centre", 0.0, 0.3), ("part way", 0.3, 0.7), ("corners", 0.7, 1.01))
 # factor, f in cycles per degree.
 _EYE_POWER, _EYE_FALL = 0.8, 0.2
 _MOST_CPD, _CPD_STEP = 80.0, 0.05
+_UPPER = 0.975  # the upper end of a 95 % interval
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,15 +127,24 @@ def zone_rows(edges: Sequence[ChartEdge]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class FocusFit:
-    """Where the MTF50 of a series of photographs is largest."""
+    """Where the MTF50 of a series of photographs is largest.
+
+    Parameters
+    ----------
+    focus, sigma : place, and its standard error by the scatter about the curve; of three
+        photographs by their own errors
+    low, high : 95 % interval; NaN where nothing tells it
+    mtf50_lpmm : there
+    """
 
     focus: float
-    sigma: float  # by the scatter about the curve; of three, by their own errors
+    sigma: float
+    low: float
+    high: float
     mtf50_lpmm: float
 
-    def scaled(self, factor: float) -> FocusFit:
-        """Return it with MTF50 in another unit."""
-        return replace(self, mtf50_lpmm=self.mtf50_lpmm * factor)
+    def __str__(self) -> str:
+        return str(Interval(self.focus, self.low, self.high))
 
 
 def best_focus(
@@ -142,9 +154,22 @@ def best_focus(
 
     Blur grows with the distance z from the best focus as s^2 = s_0^2 + (k (z - z_0))^2, and MTF50
     is inversely proportional to s: 1 / MTF50^2 is a parabola. It is fitted to the largest MTF50 and
-    up to two neighbours on each side; a parabola through MTF50 itself, which wave optics may be
-    nearer to, is taken where it leaves less. ValueError if there are fewer than three positions, or
-    the largest value is the first or last one. Standard errors (NaN without) are those of three.
+    two neighbours on each side; a parabola through MTF50 itself, which wave optics may be nearer
+    to, is taken where it leaves less. More neighbours are taken as long as the interval meets those
+    of fewer: the law holds, then. The largest of many photographs is largest by its noise.
+
+    Parameters
+    ----------
+    focus, mtf50_lpmm : [n] in any order; MTF50 that was not reached is NaN
+    std_lpmm : [n] standard errors, which tell the interval of three photographs, and that of four
+        where it is the smaller one: one that is left over says little of the scatter
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three positions, or the largest value is the first or last one.
+
+    Source: Lepski, Theory Probab. Appl. 35 (1991) 454, for the choice of neighbours.
     """
     x, y = np.asarray(focus, dtype=np.float64), np.asarray(mtf50_lpmm, dtype=np.float64)
     std = np.full(len(y), np.nan) if std_lpmm is None else np.asarray(std_lpmm, dtype=np.float64)
@@ -156,11 +181,17 @@ def best_focus(
     top = int(np.argmax(y))
     if top in (0, len(x) - 1):
         raise ValueError("the sharpest photograph is the first or last of the series; go on there")
-    near = slice(max(top - 2, 0), top + 3)
-    x, y, std = x[near], y[near], std[near]
-    powers = (-2, 1) if y.min() > 0.0 else (1,)
-    rest, fit = min((_extremum(x, y, std, power) for power in powers), key=lambda one: one[0])
-    if not np.isfinite(rest):
+    fit, low, high = None, -np.inf, np.inf
+    for reach in range(2, max(top, len(x) - 1 - top, 2) + 1):
+        near = slice(max(top - reach, 0), top + reach + 1)
+        powers = (-2, 1) if y[near].min() > 0.0 else (1,)
+        found = [_extremum(x[near], y[near], std[near], power) for power in powers]
+        rest, wider = min(found, key=lambda one: one[0])
+        low, high = np.fmax(low, wider.low), np.fmin(high, wider.high)
+        if low > high:
+            break
+        fit = wider if np.isfinite(rest) else fit
+    if fit is None:
         raise ValueError("MTF50 has no maximum over the focus")
     return fit
 
@@ -178,14 +209,32 @@ def _extremum(x: Floats, y: Floats, std: Floats, power: int) -> tuple[float, Foc
     at = -slope / (2.0 * bend) if bend * power < 0.0 else np.nan
     highest = level + 0.5 * slope * at
     if np.isnan(at) or (power < 0 and highest <= 0.0):
-        return np.inf, FocusFit(np.nan, np.nan, np.nan)
-    left = (y**power - design @ (bend, slope, level)) / slopes
-    rest = float(left @ left) if len(x) > 3 else 0.0
-    spread = np.full(len(x), rest / (len(x) - 3)) if len(x) > 3 else std**2
+        return np.inf, FocusFit(*5 * [np.nan])
+    left, free = (y**power - design @ (bend, slope, level)) / slopes, len(x) - 3
     lean = np.array([-at, -0.5, 0.0]) / bend @ solving * slopes
-    sigma = span * float(np.sqrt(lean**2 @ spread))
-    fit = FocusFit(middle + span * float(at), sigma, float(highest ** (1.0 / power)))
-    return rest, fit
+    own = span * float(np.sqrt(lean**2 @ std**2))
+    rest = float(left @ left) if free else 0.0
+    sigma = span * float(np.linalg.norm(lean)) * np.sqrt(rest / free) if free else own
+    half = stdtrit(free, _UPPER) * sigma if free else np.nan
+    half = np.fmin(half, stdtrit(np.inf, _UPPER) * own) if free < 2 else half
+    place = middle + span * float(at)
+    there = float(highest ** (1.0 / power))
+    return rest, FocusFit(place, float(sigma), float(place - half), float(place + half), there)
+
+
+def rises_again(x: Floats, y: Floats, std: Floats) -> tuple[float, float] | None:
+    """Return two places, the outer one sharper than the inner by more than their errors.
+
+    Blur only grows on either side of the focus. Chance finds none in 99 of 100 series.
+    """
+    top, pairs = int(np.argmax(y)), itertools.combinations(np.argsort(x), 2)
+    least = float(ndtri(1.0 - 0.01 / len(x) ** 2))
+    for one, other in pairs:
+        inner, outer = (one, other) if x[one] >= x[top] else (other, one)
+        between = (x[one] - x[top]) * (x[other] - x[top]) >= 0.0
+        if between and y[outer] - y[inner] > least * np.hypot(std[inner], std[outer]):
+            return float(x[inner]), float(x[outer])
+    return None
 
 
 def edge_rows(

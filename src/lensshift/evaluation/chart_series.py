@@ -18,7 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.errors import QualityWarning, warn_quality
 from lensshift.core.processes import one_thread_each
-from lensshift.evaluation.chart import ChartEdge, FocusFit, best_focus, chart_edges, zone_rows
+from lensshift.evaluation.chart import (
+    ChartEdge,
+    FocusFit,
+    best_focus,
+    chart_edges,
+    rises_again,
+    zone_rows,
+)
 from lensshift.evaluation.slanted_edge import EdgeResult, Region, find_regions, measure_edge
 
 Pitch = float | tuple[float, float]
@@ -126,34 +133,37 @@ def measure_chart(
 def focus_series(edges: Sequence[ChartEdge]) -> tuple[list[dict[str, Any]], dict[str, FocusFit]]:
     """Return the MTF50 of each zone and position of the focus, and where each zone is sharpest.
 
-    Zones whose best position is not within the series have no fit.
+    Sagittal and tangential lines of a zone are apart, as "corners sagittal": a lens with
+    astigmatism is sharpest for them at different places. Zones whose best position is not within
+    the series have no fit.
 
     Warns
     -----
     QualityWarning
-        If a zone has none, and why.
+        If a zone has none, and why, or MTF50 rises again away from the focus.
     """
     rows: list[dict[str, Any]] = []
-    errors: dict[tuple[str, float], float] = {}
-    for focus in dict.fromkeys(one.focus for one in edges):
-        by_zone: dict[str, list[tuple[int, float, float]]] = {}
+    told: dict[str, list[tuple[float, float, float]]] = {}
+    for focus in sorted({one.focus for one in edges}):
         for row in zone_rows([one for one in edges if one.focus == focus]):
-            number = row["mtf50_lpmm"]
+            zone, number = f"{row['zone']} {row['direction']}", row["mtf50_lpmm"]
+            rows.append({"zone": zone, "focus": focus, "mtf50_lpmm": number.value})
             std = (number.high - number.low) / (2 * 1.96)
-            by_zone.setdefault(row["zone"], []).append((row["edges"], number.value, std))
-        for zone, told in by_zone.items():
-            count, value, std = np.array(told).T
-            share = count / count.sum()
-            rows.append({"zone": zone, "focus": focus, "mtf50_lpmm": float(share @ value)})
-            errors[zone, focus] = float(np.linalg.norm(share * std))
+            if np.isfinite(number.value):
+                told.setdefault(zone, []).append((focus, number.value, std))
     fits = {}
-    for zone in dict.fromkeys(str(row["zone"]) for row in rows):
-        here = [row for row in rows if row["zone"] == zone]
-        told = [(row["focus"], row["mtf50_lpmm"], errors[zone, row["focus"]]) for row in here]
+    again = {zone: rises_again(*np.transpose(here)) for zone, here in told.items()}
+    for zone, here in told.items():
         try:
-            fits[zone] = best_focus(*np.transpose(told))
+            fits[zone] = best_focus(*np.transpose(here))
         except ValueError as error:
             warn_quality(f"no best focus {zone}: {error}")
+    if twice := {zone: places for zone, places in again.items() if places is not None}:
+        zone, (inner, outer) = next(iter(twice.items()))
+        warn_quality(
+            f"away from the focus MTF50 rises again in {len(twice)} of {len(told)} zones, {zone} "
+            f"from {inner:g} to {outer:g}: are the positions in the order of the photographs?"
+        )
     return rows, fits
 
 

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 _MOST_HIGH_IN = 8.0  # of a screen
 _COLOURS = dict(zip(DIRECTIONS, (BLUE, RED), strict=True))
-_STYLES = dict(zip(DIRECTIONS, ("-", "--"), strict=True))
+_STYLES: dict[str, str] = dict(zip(DIRECTIONS, ("-", "--"), strict=True))
+_MARKERS: dict[str, str] = dict(zip(DIRECTIONS, "os", strict=True))
 _WIDE = 2.0  # columns per row: two maps of such images lie above each other
 _ROOM = 1.1  # above the highest point
 _BINS = 6  # of the image height, for the line through the points
@@ -113,25 +114,31 @@ def height_figure(edges: Sequence[ChartEdge], unit: str, factor: float = 1.0) ->
 
 @styled()
 def focus_figure(
-    series: Sequence[dict[str, Any]], fits: dict[str, FocusFit], unit: str, label: str
+    series: Sequence[dict[str, Any]],
+    fits: dict[str, FocusFit],
+    unit: str,
+    label: str,
+    factor: float = 1.0,
 ) -> Figure:
     """Draw MTF50 of the zones over the position of the focus, and where each is sharpest.
 
     Parameters
     ----------
-    series : rows with zone, focus and mtf50 in the unit
-    fits : zone -> its best focus, where there is one
+    series, fits : of `focus_series`
+    unit, factor : of MTF50, and what that of the series is multiplied by
     label : of the focus, with its unit
     """
     figure = new_figure(WIDTH_IN, 3.4)
     axes = figure.subplots()
-    zones = dict.fromkeys(str(row["zone"]) for row in series)
-    for zone, marker in zip(zones, "os^", strict=False):
-        here = sorted((row["focus"], row["mtf50"]) for row in series if row["zone"] == zone)
-        at, value = np.array(here).T
-        (line,) = axes.plot(at, value, f"-{marker}", markersize=4.5, label=zone)
+    colours: dict[str, str] = {}
+    for zone in dict.fromkeys(str(row["zone"]) for row in series):
+        place, _, direction = zone.rpartition(" ")
+        colour = colours.setdefault(place, f"C{len(colours)}")
+        here = [(row["focus"], row["mtf50_lpmm"] * factor) for row in series if row["zone"] == zone]
+        how: dict[str, Any] = {"color": colour, "marker": _MARKERS[direction], "markersize": 4.5}
+        axes.plot(*np.transpose(here), ls=_STYLES[direction], label=zone, **how)
         if zone in fits:
-            axes.axvline(fits[zone].focus, color=line.get_color(), linewidth=0.9, ls=":")
+            axes.axvline(fits[zone].focus, color=colour, linewidth=0.9, ls=":")
     axes.set(xlabel=label, ylabel=f"MTF50 ({unit})")
     axes.set_ylim(0.0, _ROOM * axes.get_ylim()[1])
     axes.legend(loc="lower left")
@@ -187,8 +194,8 @@ def chart_page(
     if series:
         page.heading("Through focus")
         caption = "MTF50 of the zones in each photograph; dotted: best focus."
-        page.figure(focus_figure(series, fits or {}, unit, focus_label), caption)
-        page.table(_focus_table(fits or {}, unit))
+        page.figure(focus_figure(series, fits or {}, unit, focus_label, factor), caption)
+        page.table(_focus_table(fits or {}, unit, factor))
     page.heading("What was measured")
     caption = f"Edges and MTF50 ({unit}) in {name}; blue: sagittal lines, grey: not used."
     page.figure(annotated_figure(picture, here, unit), caption)
@@ -247,12 +254,9 @@ def _zone_table(edges: Sequence[ChartEdge], unit: str, factor: float) -> list[di
     ]  # fmt: skip
 
 
-def _focus_table(fits: dict[str, FocusFit], unit: str) -> list[dict[str, Any]]:
-    def place(one: FocusFit) -> str:
-        return f"{one.focus:.4g}" + (f" +- {one.sigma:.2g}" if np.isfinite(one.sigma) else "")
-
+def _focus_table(fits: dict[str, FocusFit], unit: str, factor: float) -> list[dict[str, Any]]:
     return [
-        {"zone": zone, "best focus": place(one), f"MTF50 ({unit})": one.mtf50_lpmm}
+        {"zone": zone, "best focus": str(one), f"MTF50 ({unit})": one.mtf50_lpmm * factor}
         for zone, one in fits.items()
     ]
 
