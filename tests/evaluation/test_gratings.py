@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 from seen_patterns import seen
 
+from lensshift.core.errors import QualityWarning
 from lensshift.evaluation import edge_and_pattern, gratings_mtf
 from lensshift.evaluation.slanted_edge import measure_edge
 
@@ -112,6 +113,27 @@ def test_the_region_of_another_group_is_refused() -> None:
     regions = [(r + 4, s - 4, c + 4, d - 4) for r, s, c, d in (*BOXES[1:], BOXES[0])]
     with pytest.raises(ValueError, match="the region of another group"):
         gratings_mtf(groups(), FREQUENCIES, pitch_mm=1.0, regions=regions, levels=(LOW, HIGH))
+
+
+@pytest.mark.parametrize("upright", [True, False])
+def test_what_coarser_pixels_make_of_bars_is_named(upright: bool) -> None:
+    """It was said to be the region of another group; bars beyond it were measured or refused."""
+    lr_px, told = 2, 0.5 * 0.588
+    place = (np.arange(60 * 60) + 0.5) / 60
+    bars = np.where(np.cos(2 * np.pi * told * place) > 0, HIGH, LOW).reshape(60 // lr_px, -1)
+    lines = np.interp(np.arange(60), lr_px * np.arange(30) + 0.5, bars.mean(axis=1))
+    picture = np.tile(lines, (40, 1)) if upright else np.tile(lines[:, None], (1, 40))
+    with pytest.warns(QualityWarning, match=r"not resolved: the lines there, of about 0\.2"):
+        found = gratings_mtf(
+            picture, [told], pitch_mm=1.0, levels=(LOW, HIGH), lr_pitch_mm=lr_px,
+            regions=[(2, 38, 2, 58) if upright else (2, 58, 2, 38)],
+        )  # fmt: skip
+    assert found.mtf.modulation[0] < 0.25
+    with pytest.raises(ValueError, match="the region of another group"):
+        gratings_mtf(
+            picture, [told], pitch_mm=1.0, levels=(LOW, HIGH), lr_pitch_mm=3.0,
+            regions=[(2, 38, 2, 58) if upright else (2, 58, 2, 38)],
+        )  # fmt: skip
 
 
 @pytest.mark.parametrize("level", [1.0, 1.0 / 3.0, 0.1])

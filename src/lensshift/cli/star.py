@@ -89,10 +89,9 @@ def zone(current: Session, asked: _ZoneOptions) -> None:
     from lensshift.evaluation.zone_plate import zone_plate_response
 
     measured, unit = _to_measure(asked)
-    row_mm, col_mm = (measured.scale * pitch for pitch in measured.pitch_mm)
     found = zone_plate_response(
-        measured.values, chirp_lpmm_per_mm=asked.chirp,
-        lr_pitch_mm=(row_mm, col_mm) if measured.scale > 1 else None, **_told(asked, measured),
+        measured.values, chirp_lpmm_per_mm=asked.chirp, lr_pitch_mm=_lr_pitch_mm(measured),
+        **_told(asked, measured),
     )  # fmt: skip
     _say_place(current, asked, found, "zone plate")
     for name in ("radial", "row", "col"):
@@ -215,7 +214,10 @@ def _pattern(current: Session, asked: _ResolutionOptions, seen: images.Measured)
         groups = [_group(text, seen) for text in asked.bars]
         printed: Any = asked.profile or "square"
         lines, regions = zip(*groups, strict=True)
-        found = gratings_mtf(seen.values, lines, regions=regions, profile=printed, **common)
+        found = gratings_mtf(
+            seen.values, lines, regions=regions, profile=printed, lr_pitch_mm=_lr_pitch_mm(seen),
+            **common,
+        )  # fmt: skip
         unit, mtf = images.frequency_unit(seen, None), found.mtf
         shown = zip(mtf.frequency_lpmm * unit.factor, mtf.modulation, found.regions, strict=True)
         for frequency, value, (top, bottom, left, right) in shown:
@@ -236,6 +238,12 @@ def _pattern(current: Session, asked: _ResolutionOptions, seen: images.Measured)
         found = zone_plate_response(seen.values, chirp_lpmm_per_mm=chirp, **common)
     _say_contrast(current, found)
     return found.radial if asked.chirp is not None else found.mtf
+
+
+def _lr_pitch_mm(seen: images.Measured) -> Pair | None:
+    """Return the pitch of the frames a picture was made of, if it was made of coarser ones."""
+    row_mm, col_mm = (seen.scale * pitch for pitch in seen.pitch_mm)
+    return (row_mm, col_mm) if seen.scale > 1 else None
 
 
 def _group(text: str, seen: images.Measured) -> tuple[float, images.Region | None]:

@@ -13,9 +13,11 @@ from scipy import ndimage
 from scipy.optimize import minimize
 
 from lensshift.core.arrays import Floats
+from lensshift.core.errors import warn_quality
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation import known_phase
 from lensshift.evaluation.known_phase import HarmonicFit, Pixels
+from lensshift.evaluation.limits import pitch_pair_mm
 
 Box = tuple[int, int, int, int]  # row start, row stop, col start, col stop
 
@@ -57,6 +59,7 @@ def gratings_mtf(
     regions: Sequence[Box | None] | None = None,
     profile: Literal["sine", "square"] = "square",
     levels: tuple[float, float] | None = None,
+    lr_pitch_mm: float | tuple[float, float] | None = None,
     valid: ArrayLike | None = None,
 ) -> GratingResult:
     """Measure the contrast of groups of bars of known frequency.
@@ -76,12 +79,18 @@ def gratings_mtf(
     regions : [n] inside each group, without the ends of its bars; found where None
     profile : how the bars were printed
     levels : values of (black, white) in large uniform areas; needed for fewer than three groups
+    lr_pitch_mm : pixel spacing of the LR frames a picture was made of, of which bars may be aliases
     valid : [row col], False for pixels left out
 
     Raises
     ------
     ValueError
         If a frequency, a region or the levels do not fit, or a group is not found.
+
+    Warns
+    -----
+    QualityWarning
+        If bars are not resolved and their alias of the LR pixels stands where they were.
     """
     if profile not in ("sine", "square"):
         raise ValueError(f"expected a profile of sine or square, got {profile!r}")
@@ -105,7 +114,7 @@ def gratings_mtf(
     groups = [_measured(pixels, f, place, profile) for f, place in zip(wanted, places, strict=True)]
     for one, at in zip(groups, places, strict=True):
         if at is not None:
-            _refuse_other_bars(pixels, one)
+            _refuse_other_bars(pixels, one, lr_pitch_mm)
     _refuse_same_place([one for one, at in zip(groups, places, strict=True) if at is None])
     fits = [one.fit for one in groups]
     outer = max(_FEWEST_TO_EXTRAPOLATE, (len(fits) + 1) // 2)
@@ -174,8 +183,13 @@ def _measured(pixels: Pixels, frequency_lpmm: float, place: Box | None, profile:
     return _Group(fit, region, float(best[0]), float(f))
 
 
-def _refuse_other_bars(pixels: Pixels, group: _Group) -> None:
-    """Refuse a region most of whose light waves with another frequency than was told."""
+def _refuse_other_bars(
+    pixels: Pixels, group: _Group, lr_pitch_mm: float | tuple[float, float] | None
+) -> None:
+    """Refuse a region most of whose light waves with another frequency than was told.
+
+    That which LR pixels make of the frequency is a finding, and warned of.
+    """
     top, bottom, left, right = group.region
     inside = pixels.within(group.region)
     row, col = (pixels.row_px[inside] - top).astype(int), (pixels.col_px[inside] - left).astype(int)
@@ -192,11 +206,20 @@ def _refuse_other_bars(pixels: Pixels, group: _Group) -> None:
     there = float(np.hypot(bins[0][at[0]] / extent_mm[0], bins[1][at[1]] / extent_mm[1]))
     slack = float(np.hypot(1.0 / extent_mm[0], 1.0 / extent_mm[1]))
     most = 2.0 * near[at] > 0.5 * power.sum()  # with its mirrored twin
-    if most and abs(there - group.frequency_lpmm) > slack + _MOST_OFF * group.frequency_lpmm:
-        raise ValueError(
-            f"expected bars of {group.frequency_lpmm:.4g} in {group.region}, those there have "
-            f"about {there:.3g}: is it the region of another group?"
+    slack += _MOST_OFF * group.frequency_lpmm
+    if not most or abs(there - group.frequency_lpmm) <= slack:
+        return
+    lr_mm = () if lr_pitch_mm is None else pitch_pair_mm(lr_pitch_mm)
+    if any(abs(abs(1.0 / one - group.frequency_lpmm) - there) <= slack for one in lr_mm):
+        warn_quality(
+            f"bars of {group.frequency_lpmm:.4g} in {group.region} are not resolved: the lines "
+            f"there, of about {there:.3g}, are what pixels of {max(lr_mm):.4g} make of them"
         )
+        return
+    raise ValueError(
+        f"expected bars of {group.frequency_lpmm:.4g} in {group.region}, those there have "
+        f"about {there:.3g}: is it the region of another group?"
+    )
 
 
 def _refuse_same_place(found: Sequence[_Group]) -> None:
