@@ -146,6 +146,33 @@ def test_a_key_is_for_the_file_that_has_names(call: Call, tmp_path: Path) -> Non
     assert done.exit_code == 0, done.output
 
 
+def test_pictures_of_other_pixels_are_not_compared(
+    call: Call, refused: Refused, tmp_path: Path
+) -> None:
+    """The pitch of one was taken for both, or LP/mm were held against cycles per pixel."""
+    np.save(tmp_path / "plain.npy", edge())
+    np.save(tmp_path / "fine.npy", edge(2, sigma_px=0.4))
+    files = {pitch: tmp_path / f"{pitch}.nc" for pitch in (0.1, 0.1005, 0.2)}
+    for pitch, path in files.items():
+        frames = np.stack([edge(noise=0.0), edge(noise=0.0)])
+        save_burst(Burst.from_arrays(frames, offset_px=np.zeros((2, 2)), pitch_mm=pitch), path)
+    one, alike, other = files.values()
+    beside = "--cycles", "9", "--edge"
+    for verb, message in (
+        (("gain", other, one), "those of the coarser image by 1"),
+        (("gain", other, tmp_path / "plain.npy", "--pitch-mm", "0.1"), "of one burst?"),
+        (("gradient", other, "--against", one), "0.2 x 0.2 mm and of 0.1 x 0.1 mm"),
+        (("frc", one, other), "(those of SECOND)"),
+        (("resolution", one, *beside, tmp_path / "plain.npy"), "plain.npy is not known"),
+        (("resolution", tmp_path / "plain.npy", *beside, one), "plain.npy is not known"),
+        (("resolution", one, *beside, other), "(those of --edge)"),
+    ):
+        refused(["evaluate", *verb], 1, message)
+    assert call("evaluate", "gain", alike, one).exit_code == 0
+    fine = "gain", tmp_path / "fine.npy", one
+    assert numbers(call, *fine)["unit"] == "LP/mm"
+
+
 def test_noise_does_not_correlate(call: Call, tmp_path: Path) -> None:
     for seed in (1, 2):
         frame = edge() + np.random.default_rng(seed).standard_normal(SHAPE)
@@ -246,6 +273,7 @@ def test_depth_alone(call: Call, tmp_path: Path) -> None:
         (["resolution", "edge.npy", "--bars", "8px"], 1, "expected levels, or 3 groups"),
         (["depth", "edge.npy", "odd.npy"], 1, "shape"),
         (["depth", "edge.npy", "--edge", "col"], 2, "needs the truth"),
+        (["depth", "edge.npy", "--repeated"], 2, "--repeated needs a burst file"),
         (["depth", "edge.npy", "--plane", "0,9,0,9"], 2, "needs --focal-length-mm"),
         (["depth", "edge.npy", "edge.npy", "--min-step-m", "0"], 1, "a positive smallest step"),
         (["mtf", "edge.npy", "--focal-length-mm", "40"], 2, "needs the pitch"),

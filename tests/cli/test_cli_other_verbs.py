@@ -218,6 +218,10 @@ def test_integers_with_peak_one_get_a_warning(call: Call, tmp_path: Path) -> Non
     assert done.stderr.startswith("warning: ")
     done = call("evaluate", "fidelity", tmp_path / "b.png", tmp_path / "a.png", "--peak", 255)
     assert done.stderr == ""
+    np.save(tmp_path / "a.npy", image.astype(np.float64))  # most of which is brighter than 1
+    done = call("evaluate", "fidelity", tmp_path / "b.png", tmp_path / "a.npy")
+    assert "white is 1; set --peak" in done.stderr
+    done = call("evaluate", "fidelity", tmp_path / "b.png", tmp_path / "a.png", "--peak", 255)
     expected = psnr_db(image + 2, image, peak=255)
     assert f"PSNR  {expected:.3f} dB" in done.stdout
 

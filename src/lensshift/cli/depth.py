@@ -175,7 +175,7 @@ def _plane(
 def _noise(current: Session, path: Path) -> None:
     from lensshift.evaluation.noise import temporal_noise
 
-    frames = images.measured_frames(path, key="distance")
+    frames = images.measured_frames(path, "--repeated", key="distance")
     found = temporal_noise(frames.values, valid=frames.valid)
     current.result["temporal_noise_m"] = found.median
     current.say(

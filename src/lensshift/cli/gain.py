@@ -52,7 +52,7 @@ def gain(current: Session, asked: _GainOptions) -> None:
     outputs.check([fine, coarse], asked.to.csv, plot=asked.to.plot)
     of_fine, of_coarse = images.keys_of(key, fine, coarse)
     if asked.joint:
-        below = images.measured_frames(coarse, key=of_coarse)
+        below = images.measured_frames(coarse, "--joint", key=of_coarse)
     else:
         below = images.measured_image(coarse, asked.pitch_mm, key=of_coarse, frame=asked.frame)
     above, scale = images.finer(images.measured_image(fine, None, key=of_fine), below)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 
 Pitch = tuple[float, float]  # (row, col)
+_SAME_PITCH = 0.01  # as people round it; frequencies are told no better
 Region = tuple[int, int, int, int]  # row start, row stop, col start, col stop
 PitchOption = Annotated[
     str | None,
@@ -194,12 +195,12 @@ def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
     return replace(read, values=values, pitch_mm=pitch, offset_px=offset_px)
 
 
-def measured_frames(path: Path, *, key: str | None = None) -> Measured:
-    """Read all frames of a burst file."""
+def measured_frames(path: Path, option: str, *, key: str | None = None) -> Measured:
+    """Read all frames of a burst file, which an option asks for."""
     from lensshift.io import load_burst
 
     if kind_of(path) is not Kind.BURST:
-        raise typer.BadParameter(f"--joint needs a burst file, got {path}")
+        raise typer.BadParameter(f"{option} needs a burst file, got {path}")
     burst = load_burst(path)
     pitch = burst.grid.pitch_mm, burst.grid.tells_pitch()
     frames = _burst_channel(burst, path, key)
@@ -216,7 +217,21 @@ def finer(fine: Measured, coarse: Measured) -> tuple[Measured, int]:
             f"got {fine.values.shape}"
         )
     pitch_mm = (coarse.pitch_mm[0] / scale, coarse.pitch_mm[1] / scale)
-    return Measured(fine.values, pitch_mm, coarse.has_pitch, fine.valid, scale), scale
+    expected = replace(fine, pitch_mm=pitch_mm, has_pitch=coarse.has_pitch, scale=scale)
+    refuse_other_pixels(fine, expected, f"those of the coarser image by {scale}")
+    return expected, scale
+
+
+def refuse_other_pixels(one: Measured, other: Measured, whose: str) -> None:
+    """Refuse two images that are compared but whose files tell pixels of another size."""
+    pairs = zip(one.pitch_mm, other.pitch_mm, strict=True)
+    apart = max(abs(ours / theirs - 1.0) for ours, theirs in pairs)
+    if one.has_pitch and other.has_pitch and apart > _SAME_PITCH:
+        first, second = ("{:.4g} x {:.4g} mm".format(*of.pitch_mm) for of in (one, other))
+        raise ValueError(
+            f"expected images of one camera and one scale, got pixels of {first} and of {second} "
+            f"({whose}): are both of one burst?"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,7 +82,7 @@ def mtf(current: Session, asked: _MtfOptions) -> None:
     place = images.parse_region(asked.region)
     outputs.check([asked.of.image], asked.to.csv, plot=asked.to.plot)
     if asked.joint:
-        measured = images.measured_frames(asked.of.image, key=asked.of.key)
+        measured = images.measured_frames(asked.of.image, "--joint", key=asked.of.key)
     else:
         measured = images.measured_photograph(asked.of, asked.photo)
     unit = images.frequency_unit(measured, asked.focal_length_mm)

@@ -126,6 +126,8 @@ def frc(current: Session, asked: _FrcOptions) -> None:
         images.measured_image(path, asked.pitch_mm, key=key)
         for path, key in zip(files, images.keys_of(asked.key, *files), strict=True)
     )
+    images.refuse_other_pixels(one, other, "those of SECOND")
+    one = one if one.has_pitch else replace(one, pitch_mm=other.pitch_mm, has_pitch=other.has_pitch)
     found = fourier_ring_correlation(one.values, other.values, pitch_mm=one.pitch_mm)
     unit, cutoffs = images.frequency_unit(one, None), (found.cutoff_lpmm, found.fixed_cutoff_lpmm)
     for label, cutoff in zip(("half-bit threshold", "threshold of 1/7"), cutoffs, strict=True):
@@ -182,10 +184,17 @@ def resolution(current: Session, asked: _ResolutionOptions) -> None:
     of_image, of_edge = images.keys_of(asked.of.key, asked.of.image, shown)
     seen = _one_image(replace(asked.of, key=of_image), asked.photo)
     unit = images.frequency_unit(seen, None)
-    # The pattern first: what does not fit of it is told before edges take their time.
-    pattern = _pattern(current, asked, seen)
     edge = replace(asked.of, image=shown, key=of_edge)
     beside = seen if asked.edge is None else images.measured_photograph(edge, asked.photo)
+    images.refuse_other_pixels(seen, beside, "those of --edge")
+    if seen.has_pitch != beside.has_pitch:
+        raise ValueError(
+            f"the pitch of {shown if seen.has_pitch else asked.of.image} is not known, so its "
+            "frequencies are in cycles/px and those of the other image in LP/mm; take two files "
+            "that tell it, or two images with --pitch-mm"
+        )
+    # The pattern first: what does not fit of it is told before edges take their time.
+    pattern = _pattern(current, asked, seen)
     edges = edges_of(beside, place)
     average = average_curves(edges)
     found = edge_and_pattern(average, pattern)

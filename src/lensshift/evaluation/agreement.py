@@ -62,9 +62,11 @@ def edge_and_pattern(edge: MtfCurve, pattern: MtfCurve) -> Agreement:
     seen = pattern.frequency_lpmm <= edge.frequency_lpmm[-1]
     seen &= (promised >= COMPARED[0]) & (promised <= COMPARED[1])
     if not np.any(seen):
+        lines = pattern.frequency_lpmm
         raise ValueError(
-            "expected a pattern with lines where the edge promises "
-            f"{COMPARED[0]} to {COMPARED[1]} of the contrast, got none"
+            f"expected a pattern with lines where the edge promises {COMPARED[0]} to {COMPARED[1]} "
+            f"of the contrast, got lines from {lines[0]:.3g} to {lines[-1]:.3g}, where it promises "
+            f"{promised[0]:.3g} to {promised[-1]:.3g}"
         )
     frequency = pattern.frequency_lpmm[seen]
     difference = float(np.mean(promised[seen] - pattern.modulation[seen]))
