@@ -1,5 +1,6 @@
 """Ratios of two measurements of one edge."""
 
+import warnings
 from dataclasses import replace
 from functools import cache
 
@@ -35,6 +36,24 @@ def test_gain_of_gaussian_edges_is_the_ratio_of_their_widths() -> None:
     gain = resolution_gain(edge((17, 33), 0.7), edge((17, 33), 1.1))
     for ratio in (gain.mtf50, gain.mtf10, gain.width):
         assert ratio.value == pytest.approx(1.1 / 0.7, rel=2e-3)
+
+
+@pytest.mark.parametrize("amount", [0.0, 1.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sharpened_image_is_told(amount: float, seed: int) -> None:
+    """Unsharp masking had a gain of 1.4 without a word."""
+    row, col = np.mgrid[:40, :50].astype(float)
+    normal = (col - 24.3) * np.cos(ANGLE_RAD) + (row - 20) * np.sin(ANGLE_RAD)
+    light = 0.2 + 0.6 * ((1 + amount) * ndtr(normal / 0.6) - amount * ndtr(normal / 1.6))
+    noise = 0.006 * np.random.default_rng(seed).standard_normal((2, 40, 50))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        plain = measure_edge(0.2 + 0.6 * ndtr(normal / 0.6) + noise[0])
+        other = measure_edge(light + noise[1])
+        resolution_gain(other, plain)
+        resolution_gain(plain, other)
+    named = [word for one in caught for word in ("finer", "coarser") if word in str(one.message)]
+    assert named == (["finer", "coarser"] if amount else [])
 
 
 def test_noise_is_compared_over_the_contrast() -> None:

@@ -38,7 +38,9 @@ def gain(current: Session, asked: _GainOptions) -> None:
     """Compare the resolution of two images of one target, and their noise.
 
     Ratios above 1 mean that FINE resolves more; the noise is that of a pixel over the contrast of
-    the edge. Both images show the whole scene, so their shapes tell the scale.
+    the edge. Both images show the whole scene, so their shapes tell the scale. Intervals are of the
+    edges as they are drawn; a reconstruction may draw a lone edge steeper than it resolves, which
+    `evaluate resolution` finds with a star or bars in the scene.
 
     \b
     Example:
