@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 from stand_in import Call, Refused, answer
 
+from lensshift import reconstruct, save_reconstruction
+from lensshift.cli import outputs
 from lensshift.core.types import Burst
 from lensshift.io import save_burst
 
@@ -171,6 +174,31 @@ def test_pictures_of_other_pixels_are_not_compared(
     assert call("evaluate", "gain", alike, one).exit_code == 0
     fine = "gain", tmp_path / "fine.npy", one
     assert numbers(call, *fine)["unit"] == "LP/mm"
+
+
+def test_figures_show_the_lr_pixel_and_the_coarser_image(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pixel of the picture stood for that of the frames, and --against was not drawn."""
+    told: dict[str, dict[str, Any]] = {}
+    monkeypatch.setattr(outputs, "write_plot", lambda *of, **how: told.update({of[2]: how}))
+    row_mm, col_mm = 0.2 * (np.indices((31, 37)) - np.array([15.0, 18.0])[:, None, None])
+    plate = 0.5 + 0.4 * np.cos(np.pi * 0.8 * (row_mm**2 + col_mm**2))
+    for verb, image, wave in (
+        ("star", star()[::2, ::2], "--cycles=12"),
+        ("zone", plate, "--chirp=0.8"),
+    ):
+        burst = Burst.from_arrays(image[None], offset_px=np.zeros((1, 2)), pitch_mm=0.2)
+        result = reconstruct(burst, scale=2, method="nearest")
+        save_reconstruction(result, tmp_path / f"{verb}.nc")
+        done = call("evaluate", verb, tmp_path / f"{verb}.nc", wave)
+        assert done.exit_code == 0, done.output
+    for name in ("stars.star_figure", "stars.zone_plate_figure"):
+        assert told[name]["lr_pitch_mm"] == pytest.approx((0.2, 0.2))
+    np.save(tmp_path / "coarse.npy", edge())
+    np.save(tmp_path / "fine.npy", edge(2, sigma_px=0.4))
+    call("evaluate", "gradient", tmp_path / "fine.npy", "--against", tmp_path / "coarse.npy")
+    assert told["gradient.gradient_figure"]["against"][1].shape == SHAPE
 
 
 def test_noise_does_not_correlate(call: Call, tmp_path: Path) -> None:

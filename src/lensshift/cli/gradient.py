@@ -73,13 +73,15 @@ def gradient(current: Session, asked: _GradientOptions) -> None:
     _say(current, found, fine.length)
     current.result |= {"image": asked.of.image, "length_unit": fine.length, **options}
     current.result["gradient"] = _row(found)
+    other: tuple[EdgeGradient, NDArray[Any], float] | None = None
     if coarse is not None:
         coarse_lines, coarse_mm = _lines(coarse, place, asked, 1)
-        _compare(current, found, edge_gradient(coarse_lines, step_mm=coarse_mm, **options))
+        other = edge_gradient(coarse_lines, step_mm=coarse_mm, **options), coarse_lines, coarse_mm
+        _compare(current, found, other[0])
     columns = {"line": list(range(len(found.lines))), "slope": found.slope_per_mm}
     columns |= {"normalised": found.normalised_per_mm, "width": found.width_mm}
     outputs.write_table(current, asked.to.csv, columns)
-    told = {"step_mm": step_mm, "length": fine.length}
+    told = {"step_mm": step_mm, "length": fine.length, "against": other}
     outputs.write_plot(current, asked.to.plot, "gradient.gradient_figure", found, lines, **told)
 
 

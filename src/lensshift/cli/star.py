@@ -63,8 +63,7 @@ def star(current: Session, asked: _StarOptions) -> None:
         _say_curve(current, curve, unit, f"sector {k}")
     columns = _columns(found.mtf, unit) | {"radius": found.radius_mm, "pixels": found.count}
     outputs.write_table(current, asked.to.csv, columns)
-    shown = (found, measured.values, measured.pitch_mm)
-    outputs.write_plot(current, asked.to.plot, "stars.star_figure", *shown, **unit.shown())
+    _draw(current, asked, "stars.star_figure", found, measured, unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +96,7 @@ def zone(current: Session, asked: _ZoneOptions) -> None:
     for name in ("radial", "row", "col"):
         _say_curve(current, getattr(found, name), unit, name)
     outputs.write_table(current, asked.to.csv, _columns(found.radial, unit))
-    shown = (found, measured.values, measured.pitch_mm)
-    outputs.write_plot(current, asked.to.plot, "stars.zone_plate_figure", *shown, **unit.shown())
+    _draw(current, asked, "stars.zone_plate_figure", found, measured, unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,6 +269,15 @@ def _told(asked: _StarOptions | _ZoneOptions, measured: images.Measured) -> dict
     """Return what stars and zone plates are measured with alike."""
     center = _pair(asked.center_px, "a centre like 7.5,31.5")
     return picked(measured, "pitch_mm valid") | {"center_px": center, "levels": _levels(asked)}
+
+
+def _draw(
+    current: Session, asked: _StarOptions | _ZoneOptions, name: str, found: Any,
+    measured: images.Measured, unit: images.Unit,
+) -> None:  # fmt: skip
+    shown = (name, found, measured.values, measured.pitch_mm)
+    told = unit.shown() | {"lr_pitch_mm": _lr_pitch_mm(measured)}
+    outputs.write_plot(current, asked.to.plot, *shown, **told)
 
 
 def _levels(asked: _StarOptions | _ZoneOptions | _ResolutionOptions) -> Pair | None:

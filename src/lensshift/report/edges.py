@@ -81,9 +81,7 @@ def gain_figure(
     gain: ResolutionGain,
     *,
     unit: str = "LP/mm",
-    factor: float = 1.0,
     names: tuple[str, str] = ("fine", "coarse"),
-    pitch_mm: float | tuple[float, float] | None = None,
 ) -> Figure:
     """Draw two measurements of one edge, the ratio of their MTF, and the gains.
 
@@ -91,21 +89,20 @@ def gain_figure(
     ----------
     fine, coarse : the measurements
     gain : of the first over the second
-    unit, factor : of the frequencies shown, and what those of the results are multiplied by
+    unit : of the frequencies
     names : of the two
-    pitch_mm : side of an LR pixel for its limits, as in `edge_figure`
     """
     figure = style.new_figure(style.WIDTH_IN, 5.2)
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=_CURVE_WIDTHS)[0]
     above, below = left.subplots(2, 1, height_ratios=(2.0, 1.0), sharex=True)
     for result, name, colour in zip((fine, coarse), names, (style.BLUE, style.RED), strict=True):
-        _draw_result(above, result, colour, f"{name}: {_mtf50(result, unit, factor)}", factor)
+        _draw_result(above, result, colour, f"{name}: {_mtf50(result, unit, 1.0)}", 1.0)
     highest_lpmm = _highest_lpmm([fine, coarse])
-    _draw_limits(above, coarse, highest_lpmm, factor, pitch_mm)
+    _draw_limits(above, coarse, highest_lpmm, 1.0, None)
     title = "MTF along the normal of the edge, with 95 % bands"
-    curves.finish_mtf_axes(above, highest_lpmm * factor, unit, title)
+    curves.finish_mtf_axes(above, highest_lpmm, unit, title)
     above.set_xlabel("")
-    _draw_ratio(below, fine, coarse, factor)
+    _draw_ratio(below, fine, coarse)
     below.set(xlabel=f"spatial frequency ({unit})", ylabel=f"{names[0]} / {names[1]}")
     _draw_gains(right.subplots(), gain)
     return figure
@@ -290,7 +287,7 @@ def _three_digits(number: Interval) -> str:
     return f"{number.value:#.3g} ({number.low:#.3g} to {number.high:#.3g})"
 
 
-def _draw_ratio(axes: Axes, fine: EdgeResult, coarse: EdgeResult, factor: float) -> None:
+def _draw_ratio(axes: Axes, fine: EdgeResult, coarse: EdgeResult) -> None:
     """Draw fine over coarse, up to where the coarse curve says nothing any more."""
     frequency_lpmm = fine.mtf.frequency_lpmm
     weak = coarse.mtf.frequency_lpmm[coarse.mtf.modulation < _LEAST_MODULATION]
@@ -299,11 +296,10 @@ def _draw_ratio(axes: Axes, fine: EdgeResult, coarse: EdgeResult, factor: float)
     above, below = (_curve_at(result, frequency_lpmm) for result in (fine, coarse))
     ratios = [ratio_of(one, other) for one, other in zip(above, below, strict=True)]
     low, value, high = np.array([(one.low, one.value, one.high) for one in ratios]).T
-    frequency = frequency_lpmm * factor
-    curves.draw_band(axes, frequency, low, high, style.PURPLE)
-    axes.plot(frequency, value, color=style.PURPLE)
+    curves.draw_band(axes, frequency_lpmm, low, high, style.PURPLE)
+    axes.plot(frequency_lpmm, value, color=style.PURPLE)
     axes.axhline(1.0, color=style.GREY, linewidth=0.9, zorder=1.0)
-    curves.mark_frequency(axes, coarse.nyquist_lpmm * factor, "")
+    curves.mark_frequency(axes, coarse.nyquist_lpmm, "")
     highest = float(np.nanmax(value, initial=1.0))
     axes.set(ylim=(0.0, min(max(2.0, 1.3 * highest), _MOST_RATIO)), title="ratio of the curves")
 

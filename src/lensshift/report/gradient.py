@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,8 +17,7 @@ from lensshift.report.style import BAND_ALPHA, GREY, LIGHT, colour_of, new_figur
 _SHOWN_WIDTHS = 3.0  # on either side of the edge
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredLines:
+class MeasuredLines(NamedTuple):
     """Lines across an edge and what was measured on them.
 
     Parameters
@@ -33,7 +31,7 @@ class MeasuredLines:
     gradient: EdgeGradient
     values: ArrayLike
     step_mm: float
-    name: str = "image"
+    name: str = "coarser image"
 
     @property
     def lines(self) -> NDArray[np.float64]:
@@ -49,7 +47,7 @@ def gradient_figure(
     step_mm: float,
     length: str = "mm",
     name: str = "image",
-    against: MeasuredLines | None = None,
+    against: tuple[Any, ...] | None = None,
     unit: str = "",
 ) -> Figure:
     """Draw lines across an edge with limits and gradient, and the gradient of every line.
@@ -60,7 +58,7 @@ def gradient_figure(
     ----------
     gradient, values, step_mm, name : as in `MeasuredLines`
     length : unit of `step_mm` as it is to be called
-    against : lines of the same edge in another image
+    against : `MeasuredLines` of the same edge in another image, or what makes them
     unit : of the values
 
     Raises
@@ -69,7 +67,7 @@ def gradient_figure(
         If the number of lines is not that of the gradient.
     """
     measured = [MeasuredLines(gradient, values, step_mm, name)]
-    measured += [] if against is None else [against]
+    measured += [] if against is None else [MeasuredLines(*against)]
     for one in measured:
         if len(one.lines) != len(one.gradient.lines):
             raise ValueError(

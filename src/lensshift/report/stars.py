@@ -33,7 +33,6 @@ def star_figure(
     unit: str = "LP/mm",
     factor: float = 1.0,
     lr_pitch_mm: Pitch | None = None,
-    limits: Sequence[MtfCurve] = (),
 ) -> Figure:
     """Draw the MTF of a Siemens star, rings on the image, and the waves fitted to these rings.
 
@@ -44,7 +43,6 @@ def star_figure(
     pitch_mm : of the image, one or (row, col)
     unit, factor : of the frequencies shown, and what those of the results are multiplied by
     lr_pitch_mm : side of an LR pixel for its limits; that of the image if None
-    limits : further curves to compare with, with their labels
 
     Raises
     ------
@@ -60,7 +58,7 @@ def star_figure(
     top, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.6, 1.0))[:, 0]
     left, right = top.subplots(1, 2, width_ratios=(1.45, 1.0))
     title = "MTF of the Siemens star, with 95 % band"
-    _draw_curves(left, named, limits, lr_pitch_mm or sides_mm, unit, factor, title)
+    _draw_curves(left, named, lr_pitch_mm or sides_mm, unit, factor, title)
     images.draw_image(right, picture, "rings fitted below")
     _draw_center(right, star.center_px, sides_mm)
     panels = below.subplots(1, chosen.size, squeeze=False, sharey=True)[0]
@@ -91,14 +89,13 @@ def zone_plate_figure(
     unit: str = "LP/mm",
     factor: float = 1.0,
     lr_pitch_mm: Pitch | None = None,
-    limits: Sequence[MtfCurve] = (),
 ) -> Figure:
     """Draw the response to a zone plate, what of it is folded, and where each curve looks.
 
     Parameters
     ----------
     plate : what was measured
-    image, pitch_mm, unit, factor, lr_pitch_mm, limits : as for `star_figure`
+    image, pitch_mm, unit, factor, lr_pitch_mm : as for `star_figure`
 
     Raises
     ------
@@ -114,7 +111,7 @@ def zone_plate_figure(
     figure = style.new_figure(style.WIDTH_IN, 4.4)
     left, right = figure.subplots(1, 2, width_ratios=(1.45, 1.0))
     title = "response to the zone plate, with 95 % bands"
-    _draw_curves(left, named, limits, lr_pitch_mm or sides_mm, unit, factor, title)
+    _draw_curves(left, named, lr_pitch_mm or sides_mm, unit, factor, title)
     images.draw_image(right, picture, "centre and sectors of the curves")
     _draw_center(right, plate.center_px, sides_mm)
     for number, (row, col) in ((1, (1.0, 0.0)), (2, (0.0, 1.0))):
@@ -126,7 +123,6 @@ def zone_plate_figure(
 def _draw_curves(
     axes: Axes,
     named: Sequence[tuple[MtfCurve, str]],
-    limits: Sequence[MtfCurve],
     lr_pitch_mm: Pitch,
     unit: str,
     factor: float,
@@ -137,7 +133,6 @@ def _draw_curves(
         curves.draw_curve(axes, curve, style.colour_of(number), label, factor=factor)
     highest_lpmm = max(float(curve.frequency_lpmm[-1]) for curve, _ in shown)
     curves.draw_pixel_limits(axes, lr_pitch_mm, None, highest_lpmm, factor)
-    curves.draw_limits(axes, limits, highest_lpmm, factor)
     nyquist_lpmm = 0.5 / max(pitch_pair_mm(lr_pitch_mm))
     if nyquist_lpmm <= highest_lpmm:
         curves.mark_frequency(axes, nyquist_lpmm * factor, "Nyquist")
