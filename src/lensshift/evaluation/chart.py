@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -24,6 +24,7 @@ ZONES = (("centre", 0.0, 0.3), ("part way", 0.3, 0.7), ("corners", 0.7, 1.01))
 _EYE_POWER, _EYE_FALL = 0.8, 0.2
 _MOST_CPD, _CPD_STEP = 80.0, 0.05
 _UPPER = 0.975  # the upper end of a 95 % interval
+_LEAST_LEANING = 6  # photographs: two are left over of a cubic
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +157,8 @@ def best_focus(
     is inversely proportional to s: 1 / MTF50^2 is a parabola. It is fitted to the largest MTF50 and
     two neighbours on each side; a parabola through MTF50 itself, which wave optics may be nearer
     to, is taken where it leaves less. More neighbours are taken as long as the interval meets those
-    of fewer: the law holds, then. The largest of many photographs is largest by its noise.
+    of fewer: the law holds, then. The largest of many photographs is largest by its noise. A
+    curve that surely falls faster on one side has the maximum of a cubic.
 
     Parameters
     ----------
@@ -184,42 +186,65 @@ def best_focus(
     fit, low, high = None, -np.inf, np.inf
     for reach in range(2, max(top, len(x) - 1 - top, 2) + 1):
         near = slice(max(top - reach, 0), top + reach + 1)
-        powers = (-2, 1) if y[near].min() > 0.0 else (1,)
-        found = [_extremum(x[near], y[near], std[near], power) for power in powers]
-        rest, wider = min(found, key=lambda one: one[0])
+        used, powers = (x[near], y[near], std[near]), (-2, 1) if y[near].min() > 0.0 else (1,)
+        found = [(*_extremum(*used, power), power) for power in powers]
+        rest, wider, _, power = min(found, key=lambda one: one[0])
         low, high = np.fmax(low, wider.low), np.fmin(high, wider.high)
         if low > high:
             break
-        fit = wider if np.isfinite(rest) else fit
+        fit = _leaning(wider, *used, power) if np.isfinite(rest) else fit
     if fit is None:
         raise ValueError("MTF50 has no maximum over the focus")
     return fit
 
 
-def _extremum(x: Floats, y: Floats, std: Floats, power: int) -> tuple[float, FocusFit]:
-    """Return what a parabola through y^power leaves of y, squared, and its extremum.
+def _leaning(fit: FocusFit, x: Floats, y: Floats, std: Floats, power: int) -> FocusFit:
+    """Return the maximum of a cubic where it surely leans; a parabola is then off.
 
-    Three points leave nothing: the order of the laws decides. Infinite where y has no maximum.
+    By how much they differ counts in the interval: the fourth power is not known.
+    """
+    if len(x) < _LEAST_LEANING:
+        return fit
+    _, cubic, leans = _extremum(x, y, std, power, degree=3)
+    reach = np.hypot(cubic.high - cubic.focus, cubic.focus - fit.focus)
+    low, high = cubic.focus - reach, cubic.focus + reach
+    return replace(cubic, low=float(low), high=float(high)) if leans else fit
+
+
+def _extremum(
+    x: Floats, y: Floats, std: Floats, power: int, degree: int = 2
+) -> tuple[float, FocusFit, bool]:
+    """Return what a polynomial through y^power leaves of y, squared, and its maximum.
+
+    And whether its highest power is surely there. Three points leave nothing of a parabola: the
+    order of the laws decides. Infinite where y has no maximum.
     """
     middle, span = float(x.mean()), float(np.ptp(x))
+    place = (x - middle) / span
     slopes = power * y ** (power - 1)  # of y^power: every y is as well known
-    design = np.vander((x - middle) / span, 3)
+    design = np.vander(place, degree + 1)
     solving = np.linalg.pinv(design / slopes[:, None]) / slopes
-    bend, slope, level = solving @ y**power
-    at = -slope / (2.0 * bend) if bend * power < 0.0 else np.nan
-    highest = level + 0.5 * slope * at
+    law = solving @ y**power
+    bend = np.polyder(law, 2)
+    tops = [one.real for one in np.roots(np.polyder(law)) if one.imag == 0.0]
+    tops = [one for one in tops if np.polyval(bend, one) * power < 0.0]
+    at = min(tops, key=lambda one: abs(one - place[np.argmax(y)]), default=np.nan)
+    highest = float(np.polyval(law, at))
     if np.isnan(at) or (power < 0 and highest <= 0.0):
-        return np.inf, FocusFit(*5 * [np.nan])
-    left, free = (y**power - design @ (bend, slope, level)) / slopes, len(x) - 3
-    lean = np.array([-at, -0.5, 0.0]) / bend @ solving * slopes
-    own = span * float(np.sqrt(lean**2 @ std**2))
+        return np.inf, FocusFit(*5 * [np.nan]), False
+    left, free = (y**power - design @ law) / slopes, len(x) - degree - 1
     rest = float(left @ left) if free else 0.0
-    sigma = span * float(np.linalg.norm(lean)) * np.sqrt(rest / free) if free else own
-    half = stdtrit(free, _UPPER) * sigma if free else np.nan
+    scatter = np.sqrt(rest / free) if free else np.nan
+    powers = np.arange(degree, -1, -1)
+    lean = powers * at ** np.maximum(powers - 1, 0) / np.polyval(bend, at) @ solving * slopes
+    own = span * float(np.sqrt(lean**2 @ std**2))
+    sigma = span * float(np.linalg.norm(lean)) * scatter if free else own
+    many = stdtrit(free, _UPPER) if free else np.nan
+    half = many * sigma
     half = np.fmin(half, stdtrit(np.inf, _UPPER) * own) if free < 2 else half
-    place = middle + span * float(at)
-    there = float(highest ** (1.0 / power))
-    return rest, FocusFit(place, float(sigma), float(place - half), float(place + half), there)
+    focus, there = middle + span * float(at), float(highest ** (1.0 / power))
+    fit = FocusFit(focus, float(sigma), float(focus - half), float(focus + half), there)
+    return rest, fit, bool(abs(law[0]) > many * scatter * np.linalg.norm(solving[0] * slopes))
 
 
 def rises_again(x: Floats, y: Floats, std: Floats) -> tuple[float, float] | None:
