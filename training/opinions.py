@@ -146,20 +146,36 @@ def main() -> None:
     ask.add_argument("--seed", type=int, default=1)
     given = ask.parse_args()
     drawn = [facts_of(np.random.default_rng((given.seed, n))) for n in range(given.bursts)]
-    best("TRUST", [one["amplitude_of_both"] for one in drawn], opinions.amplitude_of_both)
-    phase = [one["phase_of_both"] for one in drawn]
-    best("OF_BIAS", phase, opinions.phase_of_both, lambda a, b: within_half_a_turn(a - b))
-    told = [opinions.facts_of_phases(*facts[:-1]) for facts in phase]
-    means = [opinions.phase_of_both(*facts[:-1])[0] for facts in phase]
-    error = [within_half_a_turn(mean - facts[-1]) for mean, facts in zip(means, phase, strict=True)]
+    light, phase = ([one[name] for one in drawn] for name in ("amplitude_of_both", "phase_of_both"))
+    best("TRUST", light, opinions.amplitude_of_both)
+    best("OF_BIAS", phase, opinions.phase_of_both, turned)
+    variance("AMPLITUDE_VARIANCE", light, opinions.amplitude_of_both, opinions.facts_of_amplitudes)
+    variance("PHASE_VARIANCE", phase, opinions.phase_of_both, opinions.facts_of_phases, turned)
+
+
+def turned(a: Array, b: Array) -> Array:
+    """Return how far phases are apart."""
+    return within_half_a_turn(a - b)
+
+
+def variance(
+    name: str,
+    drawn: Sequence[list[Array]],
+    law: Callable[..., tuple[Array, Array]],
+    facts_of: Callable[..., tuple[list[Array], Array]],
+    apart: Callable[[Array, Array], Array] = np.subtract,
+) -> None:
+    """Print the law of the variance of means under which their errors are likeliest."""
+    told = [facts_of(*facts[:-1]) for facts in drawn]
+    error = [apart(law(*facts[:-1])[0], facts[-1]) for facts in drawn]
     squares = [torch.tensor((e**2 / u).ravel()) for e, (_, u) in zip(error, told, strict=True)]
 
     def of_tails(n: int, variance: Tensor) -> Tensor:
         tails = torch.log1p(squares[n] * torch.exp(-variance) / TAILS)
         return (variance / 2 + (TAILS + 1) / 2 * tails).mean()
 
-    law = fitted([facts for facts, _ in told], of_tails)
-    sys.stdout.write(f"PHASE_VARIANCE = ({', '.join(f'{number:.2f}' for number in law)})\n")
+    law_of = fitted([facts for facts, _ in told], of_tails)
+    sys.stdout.write(f"{name} = ({', '.join(f'{number:.2f}' for number in law_of)})\n")
 
 
 if __name__ == "__main__":

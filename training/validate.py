@@ -17,7 +17,7 @@ import numpy as np
 from lensshift import Burst, reconstruct
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
-from lensshift.reconstruction.learned.opinions import PHASE_STD_SCALE
+from lensshift.reconstruction.learned.opinions import AMPLITUDE_STD_SCALE, PHASE_STD_SCALE
 from lensshift.reconstruction.learned.solver import STD_SCALE, solve
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "reconstruction"))
@@ -108,14 +108,14 @@ def print_phasors(bursts: int) -> None:
 
 
 def phasor_calibration(bursts: int) -> tuple[float, float]:
-    """Return by what std of amplitudes is too small, and what PHASE_STD_SCALE should be."""
+    """Return what AMPLITUDE_STD_SCALE and PHASE_STD_SCALE should be."""
     seeds, factors = range(CALIBRATION_SEED, CALIBRATION_SEED + bursts), []
     for scale in (2, 3):
         for snr in PHASOR_SNR:
             sizes = [np.abs(size) for size, _ in errors_of_phasors(seeds, scale, snr)]
             factors.append(np.quantile(np.stack(sizes), 0.9545, axis=(0, 2, 3)) / 2)
     amplitude, phase = np.mean(factors, axis=0)
-    return float(amplitude), PHASE_STD_SCALE * float(phase)
+    return AMPLITUDE_STD_SCALE * float(amplitude), PHASE_STD_SCALE * float(phase)
 
 
 def judged(
@@ -170,7 +170,7 @@ def main() -> None:
     given = ask.parse_args()
     if given.phasor and given.calibrate:
         amplitude, phase = phasor_calibration(given.bursts)
-        sys.stdout.write(f"PHASE_STD_SCALE {phase:.2f}; of amplitudes {amplitude:.2f}\n")
+        sys.stdout.write(f"AMPLITUDE_STD_SCALE {amplitude:.2f}, PHASE_STD_SCALE {phase:.2f}\n")
         return
     if given.phasor:
         print_phasors(given.bursts)

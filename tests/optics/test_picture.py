@@ -94,7 +94,7 @@ def test_a_solver_leaves_what_the_closed_form_says() -> None:
             got.append(np.sqrt(np.mean(squares)))
     ratio = np.array(got) / told
     assert 0.9 < ratio.min() < ratio.max() < 1.12
-    assert np.corrcoef(told, got)[0, 1] > 0.98
+    assert np.corrcoef(told, got)[0, 1] > 0.97  # 0.98 with the weight that noise alone asks for
     # The same four frames, the pixels of the picture between their pixels instead of on them.
     assert got[2] < 0.6 * got[0]
 

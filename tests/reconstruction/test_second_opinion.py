@@ -149,12 +149,16 @@ def test_phases_that_lie_a_turn_apart_are_one() -> None:
 
 
 def test_two_amplitudes_count_as_they_are_sure_and_likely_and_tell_their_difference() -> None:
-    mean, std = amplitude_of_both(*(np.array([n]) for n in (0.9, 1.1, 0.3, 0.1, 0.0)))
+    def both(*facts: float) -> tuple[float, float]:
+        mean, std = amplitude_of_both(*(np.array([n]) for n in facts))
+        return float(mean[0]), float(std[0])
+
+    mean, std = both(0.9, 1.1, 0.3, 0.1, 0.0)
     assert mean == pytest.approx(0.25 * 0.9 + 0.75 * 1.1)
-    assert std == pytest.approx(np.sqrt(0.25 * 0.3**2 + 0.75 * 0.1**2 + 0.25 * 0.75 * 0.2**2))
+    assert std < both(0.9, 1.5, 0.3, 0.1, 0.0)[1]
+    np.testing.assert_allclose(both(9.0, 11.0, 3.0, 1.0, 0.0), (10 * mean, 10 * std), rtol=1e-5)
     nine_to_one = np.log(9.0) / TRUST
-    likely, _ = amplitude_of_both(*(np.array([n]) for n in (0.9, 1.1, 0.2, 0.2, nine_to_one)))
-    assert likely == pytest.approx(0.1 * 0.9 + 0.9 * 1.1)
+    assert both(0.9, 1.1, 0.2, 0.2, nine_to_one)[0] == pytest.approx(0.1 * 0.9 + 0.9 * 1.1)
 
 
 def test_two_phases_count_as_they_are_sure_and_likely_whatever_the_unit() -> None:

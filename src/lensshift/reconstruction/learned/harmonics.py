@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dctn, idctn
+from scipy.fftpack import dctn, idctn
 from scipy.ndimage import gaussian_filter
 
 from lensshift.core.arrays import Array, Floats

@@ -13,15 +13,20 @@ import numpy as np
 
 from lensshift.core.arrays import Array, Floats
 from lensshift.core.units import within_half_a_turn
+from lensshift.forward.operator import single
 
 # Rounded from what training/opinions.py prints: c, what a likelihood counts over a window, in which
-# errors are alike, and e and d of `phase_of_both`. 300 to 1200 bursts of three seeds gave 0.09 to
-# 0.11 and 0.25 to 0.34.
+# errors are alike, and e, of which 300 to 1200 bursts of three seeds gave 0.09 to 0.11 and 0.25 to
+# 0.34; d of both variances.
 TRUST, OF_BIAS = 0.1, 0.3
 PHASE_VARIANCE = (0.38, 0.25, 0.03, 0.3, 0.11)
-# So that two std hold 95.45 % of the phases of mosaics (training/validate.py --phasor --calibrate).
+AMPLITUDE_VARIANCE = (0.78, 0.16, 0.14, 0.06)
+# So that two std hold 95.45 % of mosaics (training/validate.py --phasor --calibrate).
+AMPLITUDE_STD_SCALE = 0.90
 PHASE_STD_SCALE = 1.34
 MOST = 6.0  # exponents beyond tell nothing more: that far, it is sure
+# Squares below which numbers tell nothing: amplitudes, their distance in units of std, phases.
+TINY, LEAST_APART = 1e-20, 1e-4
 LEAST_RAD2 = 1e-7  # below it the square of a phase tells nothing
 
 
@@ -76,16 +81,26 @@ def amplitude_of_both(
     """Return the mean of two amplitudes x and z, and its std from theirs, s and t.
 
         (1 - w) x + w z,   w / (1 - w) = exp(c L) s / t
-        std^2 = (1 - w) s^2 + w t^2 + w (1 - w) (x - z)^2
+        std^2 = t^2 d_0 (s^2 / t^2)^d_1 exp(c L)^d_2 ((x - z)^2 / t^2)^d_3
 
     Parameters
     ----------
     evidence : L, as of phases
     """
-    odds = likely(evidence) * of_first / np.maximum(of_second, 1e-30)
-    w = odds / (1.0 + odds)
-    variance = (1 - w) * of_first**2 + w * of_second**2 + w * (1 - w) * (first - second) ** 2
-    return np.asarray((1 - w) * first + w * second), np.sqrt(variance)
+    facts, unit = facts_of_amplitudes(first, second, of_first, of_second, evidence)
+    own, for_second, _ = facts
+    odds = for_second * np.sqrt(own)
+    mean = first + (second - first) * (odds / (1.0 + odds))
+    return mean, AMPLITUDE_STD_SCALE * np.sqrt(unit * product(AMPLITUDE_VARIANCE, facts))
+
+
+def facts_of_amplitudes(
+    first: Array, second: Array, of_first: Array, of_second: Array, evidence: Array
+) -> tuple[list[Array], Floats]:
+    """Return what has exponents in the std of `amplitude_of_both`, and t^2."""
+    unit = np.maximum(of_second**2, TINY)
+    own, far = (np.maximum(square, TINY) / unit for square in (of_first**2, (second - first) ** 2))
+    return [own, likely(evidence), np.maximum(far, LEAST_APART)], unit
 
 
 def likely(evidence: Array) -> Floats:
@@ -95,5 +110,6 @@ def likely(evidence: Array) -> Floats:
 
 def product(law: Sequence[float], facts: Sequence[Array]) -> Floats:
     """Return c_0 times the product of facts, each to the power of its exponent."""
-    logarithm = sum(c * np.log(np.maximum(f, 1e-30)) for c, f in zip(law[1:], facts, strict=True))
+    powers = zip(law[1:], facts, strict=True)
+    logarithm = sum(c * np.log(single(np.maximum(f, 1e-30))) for c, f in powers)
     return np.asarray(law[0] * np.exp(logarithm))
