@@ -70,8 +70,8 @@ def test_a_scene_that_turned_is_not_shown_without_a_warning(
     assert estimate.notes["rejected"] or estimate.notes["trust"] < 0.6
 
 
-# Half as far off as the best of version 0.1. The yardstick of today, which better shifts help too and
-# whose weight heeds the frames, is 6 and 13 % ahead (benchmarks/sequences.py).
+# Half as far off as the best of version 0.1. The yardstick of today, which better shifts help too,
+# and whose weight heeds the frames, is 6 and 13 % ahead (benchmarks/sequences.py).
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::lensshift.QualityWarning")  # faces move
 @pytest.mark.parametrize(("name", "most"), [("face_adyoron_1", 1.06), ("face_adyoron_2", 1.14)])
