@@ -23,7 +23,7 @@ PHASE_VARIANCE = (0.38, 0.25, 0.03, 0.3, 0.11)
 AMPLITUDE_VARIANCE = (0.78, 0.16, 0.14, 0.06)
 # So that two std hold 95.45 % of mosaics (training/validate.py --phasor --calibrate).
 AMPLITUDE_STD_SCALE = 0.90
-PHASE_STD_SCALE = 1.34
+PHASE_STD_SCALE = 1.35
 MOST = 6.0  # exponents beyond tell nothing more: that far, it is sure
 # Squares below which numbers tell nothing: amplitudes, their distance in units of std, phases.
 TINY, LEAST_APART = 1e-20, 1e-4

@@ -147,11 +147,13 @@ def _second_phase(
     """Return the phases of two pictures in one, and their std in radians.
 
         theta = A phi + arg(y / A x),   s_theta = s / |A x|
-        b^2 = scale^4 A^T beta^2 / A^T 1,   beta = arg(A x) - A phi
+        b^2 = scale^4 q,   t^2 = s_z^2 + q^2 / 4
+        q = A^T beta^2 / A^T 1,   beta = arg(A x) - A phi
 
     The phase of a mean is no mean of phases: by how much, beta, the picture tells, so frames are
-    brought to what they would be if it were. That holds as far as the picture is right. An HR pixel
-    is 1 / scale^2 of what an LR pixel sees.
+    brought to what they would be if it were. That holds as far as the picture is right, and to
+    first order: of phases a radian apart nothing is known. An HR pixel is 1 / scale^2 of what an
+    LR pixel sees.
     """
     A, used = asked.model.operator, np.isfinite(asked.sigma)
     a, phase = np.abs(image), np.angle(image)
@@ -161,9 +163,10 @@ def _second_phase(
     theta = mean + np.where(used, np.angle(asked.y * seen.conj()), 0.0)
     other = solve(replace(asked, y=theta, sigma=asked.sigma / light, general=True))
     bias = within_half_a_turn(np.angle(seen) - mean)
-    bias = scale**2 * np.sqrt(mean_seen(A, single(bias**2), np.ones(light.shape, np.float32)))
+    bias_2 = mean_seen(A, single(bias**2), np.ones(light.shape, np.float32))
+    bias, other_rad = scale**2 * np.sqrt(bias_2), np.hypot(other.std, 0.5 * bias_2)
     evidence = _evidence(asked, image, a * np.exp(1j * other.image), scale)
-    return phase_of_both(phase, other.image, std_rad, other.std, bias, evidence)
+    return phase_of_both(phase, other.image, std_rad, other_rad, bias, evidence)
 
 
 def _evidence(
