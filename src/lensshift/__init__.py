@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from lensshift.core.intrinsics import PixelDirections as PixelDirections
     from lensshift.core.lens_field import LensField as LensField
     from lensshift.core.point_cloud import PointCloud as PointCloud
+    from lensshift.core.stray_light import StrayLight as StrayLight
     from lensshift.core.types import Burst as Burst
     from lensshift.core.types import Estimate as Estimate
     from lensshift.core.types import Frame as Frame
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from lensshift.evaluation.slanted_edge import measure_edge as measure_edge
     from lensshift.evaluation.slanted_edge import measure_edges as measure_edges
     from lensshift.evaluation.slanted_edge import slanted_edge_mtf as slanted_edge_mtf
+    from lensshift.evaluation.stray_light import measure_stray_light as measure_stray_light
     from lensshift.io import load_burst as load_burst
     from lensshift.io import load_image_stack as load_image_stack
     from lensshift.io import load_lens_field as load_lens_field
@@ -106,10 +108,12 @@ _NAMES = {
     "core.intrinsics": "Pinhole PixelDirections",
     "core.lens_field": "LensField",
     "core.point_cloud": "PointCloud",
+    "core.stray_light": "StrayLight",
     "core.types": "Burst Estimate Frame Reconstruction ShiftField Status",
     "evaluation": "depth_error edge_gradient fidelity siemens_star_mtf",
     "evaluation.gain": "resolution_gain",
     "evaluation.slanted_edge": "EdgeResult measure_edge measure_edges slanted_edge_mtf",
+    "evaluation.stray_light": "measure_stray_light",
     "io": "load_burst load_image_stack load_lens_field load_reconstruction load_window "
     "open_recording save_burst save_lens_field save_reconstruction write_recording",
     "optics.field": "lens_field",

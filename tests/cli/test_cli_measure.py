@@ -14,8 +14,11 @@ from stand_in import Call, Refused, answer
 
 from lensshift import reconstruct, save_reconstruction
 from lensshift.cli import outputs
+from lensshift.core.calibration import Calibration
+from lensshift.core.motion import StageMap
 from lensshift.core.types import Burst
 from lensshift.io import save_burst
+from lensshift.io.calibration_file import load_calibration, save_calibration
 
 Image = NDArray[np.float64]
 SHAPE = (16, 40)
@@ -317,3 +320,32 @@ def test_wrong_arguments(refused: Refused, arguments: list[str], code: int, mess
     np.save("odd.npy", np.zeros((15, 33)))
     fromarray(np.uint8(200 * edge())).save("edge.png")
     refused(["evaluate", *arguments], code, message)
+
+
+def test_stray_light_is_measured_told_and_kept(
+    call: Call, refused: Refused, tmp_path: Path
+) -> None:
+    card, empty, rig = (tmp_path / name for name in ("card.nc", "empty.nc", "rig.json"))
+    rng = np.random.default_rng(4)
+    for path, light in ((card, 2.0), (empty, 0.0)):
+        x = np.full((4, 21, 34), 0.3)
+        x[:, 8:12, 14:20] += light
+        y = 0.98 * x + 0.02 * gaussian_filter(x, 4.0, axes=(1, 2), mode="reflect", truncate=8)
+        y += 1e-3 * rng.standard_normal(y.shape)
+        save_burst(Burst.from_arrays(y, offset_px=np.zeros((4, 2)), pitch_mm=0.1), path)
+    found = numbers(call, "stray-light", card, empty)
+    assert found["share"] == pytest.approx(0.02, rel=0.05)
+    assert found["sigma_px"] == pytest.approx(4.0, rel=0.05)
+    save_calibration(Calibration(StageMap(np.eye(2)), np.zeros(2)), rig)
+    kept = numbers(call, "stray-light", card, empty, "--calibration", rig)
+    known = load_calibration(rig)
+    assert known.of_camera["stray_light"]["share"] == kept["share"] == found["share"]
+    moved = Burst.from_arrays(
+        np.ones((2, 5, 7)), offset_px=np.zeros((2, 2)), pitch_mm=0.1, stage_mm=np.ones((2, 2))
+    )
+    assert known.applied_to(moved)[0].meta["stray_light"] == known.of_camera["stray_light"]
+    nothing = ["evaluate", "stray-light", empty, empty, "--calibration", rig]
+    refused(nothing, 1, "bright object")
+    told = answer(call, "reconstruct", card, "--stray-light", "0.02", "4", "0.001")
+    assert told["channels"]["amplitude"]["status"]
+    refused(["reconstruct", card, "--stray-light", "0.7", "4", "0.001"], 1, "stray_light.share")

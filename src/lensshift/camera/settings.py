@@ -146,15 +146,17 @@ class Scatter:
     Parameters
     ----------
     scattered : share of the light
-    sigma_px : of the Gaussian over which it is spread; what leaves the sensor comes back as if
-        the image went on as its mirror image
+    sigma_px : of the Gaussian over which it is spread, the image mirrored at its borders
+    told_error : of the share that a burst tells, as measured: rms error, over the share
     """
 
     scattered: float = 0.02
     sigma_px: float = 8.0
+    told_error: float = 0.1
 
     def __post_init__(self) -> None:
         share("scattered", self.scattered)
+        share("told_error", self.told_error)
         positive("sigma_px", self.sigma_px)
 
 

@@ -21,12 +21,14 @@ from lensshift.camera.view import intrinsics_of, motions, response_width_px
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.motion import ShiftField
+from lensshift.core.stray_light import StrayLight
 from lensshift.core.types import Burst
 from lensshift.core.units import doubt_about_units, unambiguous_range_m
 from lensshift.scene import Scene
 
 _SAMPLES_PER_HR_PX = 8  # along an axis
 _FEWEST_SAMPLES = 16  # of an LR pixel
+_MEASURED = 1  # names the errors of what was measured of a camera, apart from those of its frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +136,8 @@ def simulate_tof(
     The order: light and phase of the surfaces, indirect light; lens, moved; mean over the
     aperture; scattered light; drift; taps with harmonics, sunlight and dark current; shot noise,
     background suppression, full well, read noise, converter; amplitude, phase, unwrapping,
-    validity, output. The burst holds the planned offsets and the width of the pixel response.
+    validity, output. The burst holds the planned offsets, the width of the pixel response and the
+    stray light, as measured.
 
     Parameters
     ----------
@@ -186,6 +189,7 @@ def simulate_tof(
     notes = {"origin": "simulated", "seed": int(seed), "samples_per_px": samples}
     # What `calibrate` would tell of a real camera.
     notes["psf_sigma_px"] = response_width_px(side_px, rest_blur, camera.grid.shape)
+    notes |= told_stray_light(camera, seed)
     field = None
     if isinstance(camera.optics, LensOptics) and camera.optics.element is not None:
         field = ShiftField(np.stack([one.offset_px for one in looks[:-2]]))
@@ -264,6 +268,17 @@ def rates_of(seen: Seen, camera: TofCamera, frame: int) -> Rates:
         phasor = phasor * np.exp(1j * delay).reshape(*phasor.shape[:2], 1, 1)
     constant = ambient_electrons_per_s(camera) * seen.reflectance
     return Rates(active * seen.light, constant + camera.pixels.dark_electrons_per_s, phasor)
+
+
+def told_stray_light(camera: TofCamera, seed: int) -> dict[str, Any]:
+    """Return what a burst says of the stray light of its camera, measured once, with an error."""
+    if camera.scatter is None or not camera.scatter.scattered:
+        return {}
+    share, error = camera.scatter.scattered, camera.scatter.told_error
+    rng = np.random.default_rng((seed, _MEASURED))
+    measured = float(np.clip(share * (1.0 + error * rng.standard_normal()), 0.0, 0.5))
+    told = StrayLight(measured, camera.scatter.sigma_px, min(error * share, 0.5))
+    return {"stray_light": told.table}
 
 
 def _flying(seen: Seen, camera: TofCamera) -> Mask:

@@ -57,7 +57,8 @@ def capture_header(
             "px_per_mm": np.asarray(calibration.stage_map.px_per_mm).tolist(),
         }
         | ({} if calibration.psf_sigma_px is None else {"psf_sigma_px": calibration.psf_sigma_px})
-        | ({"optics": calibration.notes["optics"]} if "optics" in calibration.notes else {}),
+        | ({"optics": calibration.notes["optics"]} if "optics" in calibration.notes else {})
+        | calibration.of_camera,
     }
 
 

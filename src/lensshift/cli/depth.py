@@ -1,9 +1,9 @@
-"""`lensshift evaluate depth`: how good a distance image is, with the truth or without."""
+"""`lensshift evaluate depth` and `stray-light`: errors of distances, and of the camera's light."""
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -182,3 +182,45 @@ def _noise(current: Session, path: Path) -> None:
         f"{'noise over time':<22}{1e3 * found.median:.2f} mm, median over the pixels, "
         f"{len(frames.values)} frames"
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _StrayLightOptions:
+    with_object: Path = argument("Burst with a bright, near, small object in the scene.")
+    without: Path = argument("The same without it.")
+    calibration: Path | None = option(
+        None, "Calibration of this rig, to keep it in; captures with it then tell it."
+    )
+
+
+@verb("measuring stray light")
+def stray_light(current: Session, asked: _StrayLightOptions) -> None:
+    """Measure which share of the light goes astray in the lens, and how far.
+
+    Away from the object nothing changes but its stray light. `reconstruct` takes it out, so that a
+    dark surface beside a bright one keeps its distance.
+
+    \b
+    Example:
+      lensshift evaluate stray-light card.nc empty.nc
+      lensshift reconstruct burst.nc --stray-light 0.0099 8.1 0.0003
+    """
+    from lensshift.evaluation.stray_light import measure_stray_light
+    from lensshift.io import load_burst
+    from lensshift.io.calibration_file import load_calibration, save_calibration
+
+    target = asked.calibration
+    known = None if target is None else load_calibration(target)
+    found = measure_stray_light(load_burst(asked.with_object), load_burst(asked.without))
+    current.tell(asked, "with_object without")
+    current.result |= found.table
+    share, error = 100 * found.share, 100 * found.share_std
+    current.say(
+        f"stray light {share:.3g} +- {error:.1g} % of the light, spread by {found.sigma_px:.3g} px"
+    )
+    if target is not None and known is not None:
+        save_calibration(replace(known, notes={**known.notes, "stray_light": found.table}), target)
+        current.wrote(target)
+    else:
+        told = f"{found.share:.4g} {found.sigma_px:.3g} {found.share_std:.2g}"
+        current.say(f"lensshift reconstruct BURST --stray-light {told}")

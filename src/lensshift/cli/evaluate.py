@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from lensshift.cli.chart import chart
-from lensshift.cli.depth import depth
+from lensshift.cli.depth import depth, stray_light
 from lensshift.cli.gain import gain
 from lensshift.cli.gradient import gradient
 from lensshift.cli.images import measured_image
@@ -19,8 +19,8 @@ from lensshift.core.errors import DataError, QualityWarning
 
 evaluate = verb_group()
 
-for one in (mtf, chart, gain, gradient, star, zone, frc, resolution, depth):
-    evaluate.command()(one)
+for one in (mtf, chart, gain, gradient, star, zone, frc, resolution, depth, stray_light):
+    evaluate.command(one.__name__.replace("_", "-"))(one)
 
 
 @evaluate.callback()

@@ -18,6 +18,7 @@ from lensshift.cli.register import with_shifts
 from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import option, verb
 from lensshift.core.errors import QualityWarning, naming
+from lensshift.core.stray_light import StrayLight
 
 if TYPE_CHECKING:
     from lensshift.core.types import Burst, Reconstruction
@@ -92,6 +93,12 @@ class ReconstructOptions:
     calibration: Path | None = option(
         None, "From `lensshift calibrate`: shifts from stage positions."
     )
+    stray_light: tuple[float, float, float] | None = option(
+        None,
+        "Share of the light that goes astray, its width in LR px and the standard deviation of the "
+        "share, as `lensshift evaluate stray-light` measures them; default: as the burst says.",
+        metavar="SHARE PX STD",
+    )
     device: str | None = option(
         None,
         "Where the method auto is computed, by PyTorch; default: compiled for this processor.",
@@ -139,6 +146,8 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
     if asked.psf_sigma_px is not None or asked.fill_factor is not None:
         # That of a calibration would hold the pixel as well.
         known["psf_sigma_px"] = asked.psf_sigma_px
+    if asked.stray_light is not None:
+        known["stray_light"] = StrayLight(*asked.stray_light)
     _reconstruct(current, asked, burst, settings | known, files)
 
 

@@ -48,7 +48,7 @@ class Calibration:
     play_mm, play_sigma_mm : [2] of each axis: what is lost when it turns round
     psf_sigma_px, psf_sigma_sigma_px : width of the blur in LR pixels, None if not measured
     drift_px_per_s, drift_sigma_px_per_s : [2] of the image while the stage stands still
-    notes : text and numbers: date, devices, number of frames
+    notes : text and numbers: date, devices, number of frames; `stray_light`, see `StrayLight`
     """
 
     stage_map: StageMap
@@ -82,6 +82,11 @@ class Calibration:
     def offset_source(self) -> Literal["planned", "calibrated"]:
         """What offsets by this map are called in a burst."""
         return "calibrated" if self.source == "measured" else "planned"
+
+    @property
+    def of_camera(self) -> dict[str, Any]:
+        """What bursts keep of the notes, as `Burst.meta`: what was measured beside the map."""
+        return {name: self.notes[name] for name in ("stray_light",) if name in self.notes}
 
     @property
     def rotation_rad(self) -> float:
@@ -157,6 +162,7 @@ class Calibration:
             offset_px=self.offset_px(burst.stage_mm),
             offset_sigma_px=np.full((burst.frame_count, 2), self.stage_map.sigma_px),
             offset_source=self.offset_source,
+            meta={**burst.meta, **self.of_camera},
         )
         self.check_sensor(burst.grid.shape)
         one = self.stage_map.field_px_per_mm is None

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array, Floats
+from lensshift.core.stray_light import StrayLight
 from lensshift.core.units import PhaseScale, unambiguous_range_m
 from lensshift.forward.blur import Blur
 from lensshift.forward.model import ForwardModel, forward_model
@@ -28,6 +29,8 @@ class FramePredictor:
     # [frame row col 2] variance of the spot beyond that of `blur`, or None
     spot_px2: Floats | None = None
     skew_px3: Floats | None = None  # [frame row col 2] third central moment of that spot, or None
+    # What is in the frames and not in the image, or None.
+    stray_light: StrayLight | None = field(default=None, kw_only=True)
 
     @property
     def lr_shape(self) -> tuple[int, int]:
@@ -40,7 +43,8 @@ class FramePredictor:
 
         The spot at an offset is the mean of those of all frames.
         """
-        return np.asarray(self.model_of(frame).predict(self.image)[0])
+        seen = np.asarray(self.model_of(frame).predict(self.image)[0])
+        return seen if self.stray_light is None else self.stray_light.added(seen)
 
     def model_of(self, frame: int | ArrayLike) -> ForwardModel:
         """Return the model of that frame alone."""
@@ -102,8 +106,9 @@ def phasor_predictors(
     phasor = replace(frame, image=np.abs(frame.image) * turned)
     beyond = scale.circular and bool(distance_m.max() >= unambiguous_range_m(scale.modulation_hz))
     even = replace(
-        frame, image=distance_m, gain=np.ones_like(frame.gain), bias=np.zeros_like(frame.bias)
-    )
+        frame, image=distance_m, gain=np.ones_like(frame.gain), bias=np.zeros_like(frame.bias),
+        stray_light=None,
+    )  # fmt: skip
     return PhasorPredictor(phasor), PhasorPredictor(phasor, scale, even if beyond else None)
 
 

@@ -7,7 +7,7 @@
     c_gain, c_bias                     [burst_frame]                 of channel c
     attributes of the distance of phasors: modulation_hz, reference_m, circular
 
-The pixel response is among the settings.
+The pixel response and stray light are among the settings.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, about
+from lensshift.core.stray_light import StrayLight
 from lensshift.core.types import Estimate
 from lensshift.core.units import PhaseScale
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
@@ -80,6 +81,7 @@ def with_predictions(
         if modulation_hz is not None and reference_m is not None:
             phase = PhaseScale(modulation_hz, reference_m, bool(circular), "file")
     blur = _blur(settings.get("blur"))
+    stray = StrayLight.told(settings.get("stray_light"), "settings.stray_light")
     finest = {name: one.image if one.fine is None else one.fine for name, one in channels.items()}
 
     def predictor(name: str) -> FramePredictor:
@@ -91,7 +93,10 @@ def with_predictions(
         of_pixels = [_of_pixels(container, what, shape) for what in ("shift", "spot", "skew")]
         if gain.shape != shape[:1] or bias.shape != gain.shape:
             raise DataError("expected one number a frame", field=f"{name}_gain")
-        return FramePredictor(image, per_px, blur, offset_px, gain, bias, *of_pixels)
+        told = None if phase is None and name == "distance" else stray
+        return FramePredictor(
+            image, per_px, blur, offset_px, gain, bias, *of_pixels, stray_light=told
+        )
 
     if phase is None:
         return {name: replace(one, predict=predictor(name)) for name, one in channels.items()}

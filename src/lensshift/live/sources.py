@@ -6,7 +6,7 @@ import itertools
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from lensshift.camera import PlainOptics, RunningCamera, TofCamera
+from lensshift.camera.simulate import told_stray_light
 from lensshift.camera.view import intrinsics_of
 from lensshift.capture.acquire import check_travel
 from lensshift.capture.drivers.replay import ReplayCamera
@@ -73,10 +74,10 @@ class Source(ABC):
     def _checked(self, pattern: str) -> ShiftPlan:
         return named_plan(pattern)
 
-    def _template(self, plan: ShiftPlan, camera: Any, blur_px: float | None) -> Burst:
+    def _template(self, plan: ShiftPlan, camera: Any, told: Mapping[str, Any]) -> Burst:
         known = getattr(camera, "intrinsics", None)
         return template_of(
-            plan.target_px, camera.grid, camera.modulation_hz, known, blur_px, plan.name
+            plan.target_px, camera.grid, camera.modulation_hz, known, plan.name, told
         )
 
 
@@ -99,8 +100,9 @@ class RigSource(Source):
             with closing(self._rig.frames(plan)) as records:  # type: ignore[type-var]
                 for record in records:
                     if template is None:  # where the pixels look comes with the frames
-                        blur_px = self._rig.calibration.psf_sigma_px
-                        template = self._template(plan, self._rig.camera, blur_px)
+                        known = self._rig.calibration
+                        told = {"psf_sigma_px": known.psf_sigma_px} | known.of_camera
+                        template = self._template(plan, self._rig.camera, told)
                     yield _of_record(record, template)
                     if self._plan is not plan:
                         break
@@ -122,6 +124,7 @@ class SimulatedSource(Source):
         self._running = RunningCamera(scene, camera)
         self._camera, self._rate_hz = camera, rate_hz
         self._error_px, self._rng = shift_error_px, np.random.default_rng(seed)
+        self._stray_light = told_stray_light(camera, seed)
         super().__init__("simulated camera", pattern)
 
     def shots(self) -> Iterator[Shot]:
@@ -146,7 +149,8 @@ class SimulatedSource(Source):
         lens_px = optics.blur_sigma_px if isinstance(optics, PlainOptics) else 0.0
         blur_px = math.hypot(math.sqrt(camera.pixels.fill_factor / 12.0), lens_px)
         hz, known = camera.illumination.modulation_hz[0], intrinsics_of(camera)
-        return template_of(plan.target_px, camera.grid, hz, known, blur_px, plan.name)
+        told = {"psf_sigma_px": blur_px} | self._stray_light
+        return template_of(plan.target_px, camera.grid, hz, known, plan.name, told)
 
 
 class BurstSource(Source):
@@ -170,8 +174,8 @@ class BurstSource(Source):
             burst.grid,
             burst.frequencies_hz[0] if len(burst.frequencies_hz) == 1 else None,
             burst.intrinsics,
-            burst.meta.get("psf_sigma_px"),
             pattern,
+            {name: burst.meta.get(name) for name in ("psf_sigma_px", "stray_light")},
         )
         super().__init__(f"recording {name}", pattern)
 
@@ -230,7 +234,7 @@ class CameraSource(Source):
                     continue
                 if template is None or self._plan is not plan:
                     plan, first = self._plan, one.cycle
-                    template = self._template(plan, self._camera, None)
+                    template = self._template(plan, self._camera, {})
                 place = (one.cycle - first) % template.frame_count
                 offset_px = plan.target_px[place]
                 yield Shot(one.frame, place, one.arrived_s, template, offset_px)
@@ -243,13 +247,11 @@ def template_of(
     grid: Grid,
     modulation_hz: float | None,
     intrinsics: Intrinsics | None,
-    blur_px: float | None,  # width of the pixel response, lens included, in LR pixels
     name: str,
+    told: Mapping[str, Any],  # of `Burst.meta`: psf_sigma_px, stray_light
 ) -> Burst:
     """Return a burst of empty frames: a plan, with what is known of the camera."""
-    meta: dict[str, Any] = {"plan": name}
-    if blur_px is not None:
-        meta["psf_sigma_px"] = float(blur_px)
+    meta = {"plan": name} | {key: one for key, one in told.items() if one is not None}
     empty = Burst(np.zeros((len(offset_px), *grid.shape)), offset_px, grid, meta=meta)
     try:
         return replace(empty, modulation_hz=modulation_hz, intrinsics=intrinsics)

@@ -194,3 +194,17 @@ def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:
         stacklevel=stacklevel + 1,
     )
     return replace(burst, valid=burst.valid & ~stuck)
+
+
+def warn_of_blind_frames(burst: Burst, used: tuple[int, ...], *, stacklevel: int) -> None:
+    """Warn of frames that lie as far away as the sensor is large, and so tell nothing."""
+    away_px = np.abs(burst.offset_px[list(used)])
+    blind = np.any(away_px >= burst.grid.shape, axis=1)
+    if np.any(blind) and not np.all(blind):  # of which none would see the scene
+        numbers = ", ".join(str(used[k]) for k in np.flatnonzero(blind))
+        warnings.warn(
+            f"of frame {numbers} nothing is used: offset_px moves content out of the picture, by "
+            f"{away_px[blind].max():.4g} px; it is in LR pixels",
+            QualityWarning,
+            stacklevel=stacklevel + 1,
+        )

@@ -270,6 +270,8 @@ def _view(one: Estimate, values: Array, frame: Frame, number: int, noise: float)
     model = predictor.model_of(number)
     seen = model.predict(predictor.image)[0]
     valid = frame.valid & model.inside[0]
+    if predictor.stray_light is not None:
+        values = predictor.stray_light.removed(np.where(valid, values, 0))
     rest = np.where(valid, values - seen, 0)
     return View(model, seen, rest, valid, noise * (one.noise_sigma or 0.0))
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.order import quantile
+from lensshift.core.stray_light import StrayLight
 from lensshift.core.types import Burst, ShiftField
 from lensshift.forward.blur import ApertureBlur, Blur, GaussianBlur
 from lensshift.forward.model import ForwardModel, forward_model
@@ -58,6 +59,7 @@ class Problem:
         was given, or None
     clipped : [frame row col] pixels of light at an end of the range of the camera, None if there
         are none
+    stray_light : what was taken out of `y`, or None
     """
 
     y: Array
@@ -71,6 +73,7 @@ class Problem:
     even_noise: bool = True
     told_sigma: float | None = None
     clipped: Mask | None = None
+    stray_light: StrayLight | None = None
 
     @property
     def scale(self) -> int:
@@ -168,6 +171,7 @@ def make_problem(
     noise_sigma: float | None,
     intensity: Callable[[Array, Mask], float] = brightness_of,
     pixel_variance: Array | None = None,
+    stray_light: StrayLight | None = None,
     even_noise: bool = True,
     take_level: bool = False,
     keep_outside: bool = False,
@@ -179,6 +183,7 @@ def make_problem(
     values : [frame row col] the channel
     intensity : (values, used) -> what to divide them by, `brightness_of` or `peak_of`
     pixel_variance : [frame row col] known noise variance of each LR pixel, or None
+    stray_light : to be taken out of the values, or None
     even_noise : as in `Problem`
     take_level : whether a level far above the contrast is taken off: what is relative to the size
         of the values would not see the scene
@@ -210,6 +215,8 @@ def make_problem(
     level, unit = _large_level(values, used) if take_level else (0.0, 0.0)
     unit = unit or intensity(values, used)
     y = (np.where(used, values, level).astype(kind) - level) / unit
+    if stray_light is not None:
+        y = np.where(used, stray_light.removed(y), 0.0)
     return Problem(
         y=y,
         weight=weight,
@@ -222,6 +229,7 @@ def make_problem(
         even_noise=even_noise,
         told_sigma=None if least is None else float(np.sqrt(least)) / unit,
         clipped=clipped_pixels(values, used) if even_noise and kind is np.float64 else None,
+        stray_light=stray_light,
     )
 
 
@@ -313,7 +321,10 @@ def predictor(
                 of_all[list(used)] = known
                 of_spots.append(of_all)
     scale, blur = image.shape[0] // burst.grid.shape[0], problem.model.blur
-    return FramePredictor(image, scale, blur, burst.offset_px, gains, biases, field_px, *of_spots)
+    return FramePredictor(
+        image, scale, blur, burst.offset_px, gains, biases, field_px, *of_spots,
+        stray_light=problem.stray_light,
+    )  # fmt: skip
 
 
 def _large_level(values: Array, used: Mask) -> tuple[float, float]:

@@ -15,9 +15,11 @@ from lensshift.core.arrays import Array
 from lensshift.core.defects import colour_mosaic, unequal_brightness
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
+from lensshift.core.stray_light import StrayLight
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
 from lensshift.reconstruction.clipping import (
     overexposed,
+    warn_of_blind_frames,
     without_blank,
     without_copies,
     without_stuck,
@@ -62,6 +64,7 @@ def reconstruct(
     pixel_variance: ArrayLike | None = None,
     shift_field: ShiftField | None = None,
     lens_field: LensField | None = None,
+    stray_light: StrayLight | None = None,
     photometric: bool = False,
     non_negative: bool = False,
     seed: int = 0,
@@ -105,6 +108,8 @@ def reconstruct(
     lens_field : how shift and spot of the lens vary over the sensor, for the frames of any burst
         of that lens; instead of `shift_field`. `psf_sigma_px` then holds for the middle of the
         sensor, where nobody told it the pixel is square; all methods undo the spot
+    stray_light : what lens and sensor throw far from where it belongs, to be taken out of light and
+        phasors; by default what `burst.meta["stray_light"]` says, or none
     photometric : whether to estimate gain and bias of each frame; where frames of light surely
         differ in brightness that is done, and said, without it
     non_negative : whether negative values are forbidden
@@ -166,6 +171,7 @@ def reconstruct(
     seen: dict[str, Any] = {
         "scale": scale, "blur": undone(blur, response, chosen, lens_field), "shift_field": field,
         "noise_sigma": noise_sigma, "pixel_variance": variance,
+        "stray_light": stray_light or StrayLight.told(burst.meta.get("stray_light")),
     }  # fmt: skip
     if chosen.reads_response and not photometric and lens_field is None and before is None:
         response, request = as_seen(part, choice.channel, request, response, blur, seen)
@@ -196,6 +202,7 @@ def _estimates(
         return {"amplitude": both.amplitude, "distance": both.distance_m}, both.flying
     found: dict[str, Estimate] = {}
     for key, values in _channels(part, channel).items():
+        seen |= {"stray_light": None} if key == "distance" else {}
         problem = make_problem(
             part, values, even_noise=key != "distance", keep_outside=chosen.keep_outside,
             take_level=chosen.take_level and not request.non_negative,
@@ -215,20 +222,6 @@ def _estimates(
             light = values, part.valid
             found[key] = in_one_light(found[key], *light, request, again, stacklevel=3)
     return found, None
-
-
-def _warn_of_blind_frames(burst: Burst, used: tuple[int, ...]) -> None:
-    """Warn of frames that lie as far away as the sensor is large, and so tell nothing."""
-    away_px = np.abs(burst.offset_px[list(used)])
-    blind = np.any(away_px >= burst.grid.shape, axis=1)
-    if np.any(blind) and not np.all(blind):  # of which none would see the scene
-        numbers = ", ".join(str(used[k]) for k in np.flatnonzero(blind))
-        warnings.warn(
-            f"of frame {numbers} nothing is used: offset_px moves content out of the picture, by "
-            f"{away_px[blind].max():.4g} px; it is in LR pixels",
-            QualityWarning,
-            stacklevel=4,
-        )
 
 
 def _what_else(part: Burst, channel: str, scale: int) -> str:
@@ -291,6 +284,8 @@ def _solve(
         std = replace(std, unit=unit)
     elif std is not None:
         std = np.hypot(np.asarray(std) * unit, request.still_std)
+        if (stray := problem.stray_light) is not None:
+            std = np.hypot(std, unit * stray.std_of(np.asarray(estimate.image), problem.y)[0])
         if request.photometric and len(gain) > 1:
             std = np.hypot(std, std_of_level(image, gain, bias))
     return replace(
@@ -329,7 +324,7 @@ def _frame_numbers(
         raise ValueError(f"expected frames from 0 to {burst.frame_count - 1}, got {list(numbers)}")
     if len(set(numbers)) != len(numbers):
         raise ValueError(f"expected each frame once, got {list(numbers)}")
-    _warn_of_blind_frames(burst, numbers)
+    warn_of_blind_frames(burst, numbers, stacklevel=3)
     return numbers
 
 
@@ -391,6 +386,7 @@ def _settings(
         "non_negative": request.non_negative,
         "photometric": request.photometric,
         "shift_field": seen["shift_field"] is not None,
+        "stray_light": None if seen["stray_light"] is None else seen["stray_light"].table,
         "seed": request.seed,
         "device": None if request.device is None else request.device.name,
         **request.options,

@@ -154,7 +154,8 @@ def _one_frequency(
         found = _learned(problem, sigma, request)
         told = np.asarray(found.std) if request.std else None
         if told is not None:
-            found = replace(found, uncertainty=np.hypot(told, steps.shared(problem, sigma)))
+            told = np.hypot(told, steps.shared(problem, sigma))
+            found = replace(found, uncertainty=np.hypot(told, _of_stray_light(found, problem)))
     else:
         found = _linear(replace(problem, noise_sigma=float(sigma[used].min())), method, request)
     settled, phase_rad = settle_turns(frames, typical * problem.intensity), np.angle(found.image)
@@ -207,6 +208,15 @@ def _learned(problem: Problem, sigma: Floats, request: Request) -> Estimate:
         image=from_polar(amplitude, phase_rad),
         uncertainty=spread if request.std else None,
     )
+
+
+def _of_stray_light(found: Estimate, problem: Problem) -> Floats | float:
+    """Return the std of amplitude and phase that is left by stray light which was taken out."""
+    if problem.stray_light is None:
+        return 0.0
+    along, across = problem.stray_light.std_of(found.image, problem.y)
+    light = np.maximum(np.abs(found.image), 1e-12)
+    return np.stack([along, np.minimum(across / light, NO_PHASE_RAD)])
 
 
 def _linear(problem: Problem, method: str, request: Request) -> Estimate:
