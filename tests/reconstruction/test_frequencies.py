@@ -214,6 +214,24 @@ def test_a_thin_thing_that_the_lowest_frequency_sees_stays_where_it_is(seed: int
     np.testing.assert_allclose(common_distance(Tones(hz, phase_rad, std))[0], truth_m, atol=0.1)
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_a_pole_that_no_mixture_of_the_wall_explains_stays_where_it_is(
+    share: float, seed: int
+) -> None:
+    """One pixel wide between pixels that mix it with the wall; no frequency tells so far alone."""
+    hz, rng = (80e6, 60e6), np.random.default_rng(seed)
+    per_m = distance_to_phase(1.0, 1.0) * np.array(hz)[:, None, None]
+    of_pole = np.select([np.arange(15) == 7, abs(np.arange(15) - 7) == 1], [1.0, share], 0.0)
+    of_pole = of_pole * np.ones((9, 1))
+    both = of_pole * np.exp(1j * per_m * 2.12) + (1 - of_pole) * np.exp(1j * per_m * 5.0)
+    std = np.array([0.05, 0.15])[:, None, None] * np.ones(both.shape)
+    phase_rad = np.angle(both) + std * rng.standard_normal(std.shape)
+    found_m, _ = common_distance(Tones(hz, phase_rad, std))
+    np.testing.assert_allclose(found_m[:, 7], 2.12, atol=0.2)
+    np.testing.assert_allclose(found_m[of_pole == 0], 5.0, atol=0.2)
+
+
 @pytest.mark.parametrize(
     ("told_mhz", "repeat_m"),
     [

@@ -24,6 +24,8 @@ RELATED = 1.0 / 20.0  # of a turn, over its number: frequencies are multiples of
 # Harmonics of light that is no sine turn phases by some hundredths, in any camera.
 CALIBRATED_RAD = 0.05
 SURE = 3.0**2  # chi-square by which a turn is sure: the usual 3 sigma
+LINE = 2  # neighbours alike, in a line of pixels
+MIXTURES = np.linspace(0.0, 1.0, 33)  # of equal parts of two distances, to 1/64 of the light
 CORNER = 3  # neighbours alike, where a surface of four pixels or more ends
 FORBIDDEN = 1e12  # chi-square that no noise reaches
 AROUND = [(row, col) for row in range(3) for col in range(3) if (row, col) != (1, 1)]
@@ -100,6 +102,22 @@ class Tones:
             second = np.minimum(np.maximum(cost, least), second)
             best_m, least = np.where(cost < least, tried_m, best_m), np.minimum(cost, least)
         return best_m, least, second - least > SURE
+
+    def mixed(self, near_m: Array, far_m: Array) -> Floats:
+        """Return the chi-square [...] of the best mixture of light from two distances.
+
+            min_w sum_f (phi_f - arg(w e_f(near) + (1 - w) e_f(far)))^2 / s_f^2
+
+        with e_f(d) = exp(4 pi i f d / c).
+        """
+        near, far = (np.exp(1j * self.rad_per_m * one_m) for one_m in (near_m, far_m))
+        least = np.full(near_m.shape, np.inf)
+        for share in MIXTURES:
+            off_rad = within_half_a_turn(
+                self.phase_rad - np.angle(share * near + (1 - share) * far)
+            )
+            least = np.minimum(least, np.sum((off_rad / self.std_rad) ** 2, axis=0))
+        return least
 
     def sees_beyond(self, low_m: Array, high_m: Array, farthest_m: float) -> Mask:
         """Return where the lowest frequency surely sees what is nearer or farther than that.
@@ -217,9 +235,11 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     A pixel that is sure and like three around keeps the turn of its own phases. Any other asks its
     phases and those around: all of them a turn away, or farther as the wall behind a pole is, are
     worth 3 sigma. A pixel that sees two surfaces has phases of none, fits no turn, and must be
-    among or between the surfaces near it. Turns that no surface has are not asked. Of these pixels
-    the distance is the mean over all turns, by how likely they are, and their variance is in that
-    of it; besides there is what phases allow, more where they contradict each other.
+    among or between the surfaces near it, unless it is of a line of pixels alike, as a pole is, and
+    no mixture of those has its phases (by 9). Turns that no surface and no line has are not asked.
+    Of these pixels the distance is the mean over all turns, by how likely they are, and their
+    variance is in that of it; besides there is what phases allow, more where they contradict each
+    other.
     """
     found_m, least, sure = pictures.alone()
     doubt = np.maximum(least / max(len(pictures.hz) - 1, 1), 1.0)
@@ -229,7 +249,7 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     if not asked.any():
         return found_m, std_m
     some, half_m = pictures.at(asked), 0.5 * pictures.turn_m
-    inside = alike > len(AROUND) // 2
+    inside = (alike > len(AROUND) // 2) | (sure & (alike >= LINE))
     seen_m = _seen_from_to(pictures.at(inside if inside.any() else np.full_like(inside, 1)))
     numbers = some.turns(seen_m[0] - half_m, seen_m[1] + half_m)
     tried_m, cost = (np.stack(both) for both in zip(*map(some.in_turn, numbers), strict=True))
@@ -241,8 +261,13 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
         found_m[asked] = _least(tried_m, total)
         if np.array_equal(before_m, found_m[asked]):
             break
-    surface = _alike(found_m, pictures.sigma_m, pictures.turn_m) >= CORNER
-    low_m, high_m = _reach(found_m, surface, ALIKE * pictures.turn_m)
+    alike = _alike(found_m, pictures.sigma_m, pictures.turn_m)
+    surface, margin_m = alike >= CORNER, ALIKE * pictures.turn_m
+    low_m, high_m = _reach(found_m, surface, margin_m)
+    thin = asked & ~surface & (alike >= LINE) & np.isfinite(low_m)
+    mixed = pictures.at(thin).mixed(low_m[thin] + margin_m, high_m[thin] - margin_m)
+    surface[thin] = mixed / doubt[thin] - _least(cost, total)[thin[asked]] > SURE
+    low_m, high_m = _reach(found_m, surface, margin_m)
     beyond_m = np.maximum(low_m[asked] - tried_m, tried_m - high_m[asked])
     beyond_m[:, some.sees_beyond(low_m[asked], high_m[asked], seen_m[1])] = 0.0
     total += FORBIDDEN * np.maximum(beyond_m, 0.0)
