@@ -34,8 +34,7 @@ class Illumination:
 
     Parameters
     ----------
-    modulation_hz : one frequency, or several for a longer unambiguous range; the first one is
-        that of the truth. Several are whole Hz
+    modulation_hz : one, or several in whole Hz for a longer range; the truth is of the first one
     intensity_w_per_sr : mean radiant intensity
     wavelength_nm : of the light
     """

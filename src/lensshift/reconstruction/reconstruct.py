@@ -159,8 +159,7 @@ def reconstruct(
         frames=used, shifts_doubted=response["psf_sigma_px"] > QUESTIONED_BLUR_PX,
         streamed=bool(streamed), device=on_device(device, name),
     )  # fmt: skip
-    burst, part = _parts(burst, used, request)
-    field = None if field is None else field.select(used)
+    burst, part, field = _parts(burst, used, request, field)
     variance = None if pixel_variance is None else np.asarray(pixel_variance)[list(used)]
     given = photometric or noise_sigma is not None or variance is not None
     choice = choose_channel(part, channel, name, request, given=given)
@@ -328,8 +327,10 @@ def _frame_numbers(
     return numbers
 
 
-def _parts(burst: Burst, used: tuple[int, ...], request: Request) -> tuple[Burst, Burst]:
-    """Return the burst without frames that tell nothing, and what is used of it.
+def _parts(
+    burst: Burst, used: tuple[int, ...], request: Request, field: ShiftField | None
+) -> tuple[Burst, Burst, ShiftField | None]:
+    """Return the burst without frames that tell nothing, what is used of it, and its field.
 
     Warns of what the frames can hardly be like; of those of a stream all that was done and said.
     """
@@ -338,7 +339,7 @@ def _parts(burst: Burst, used: tuple[int, ...], request: Request) -> tuple[Burst
     part = burst if used == tuple(range(burst.frame_count)) else burst.select(used)
     if not request.streamed and (said := colour_mosaic(part.amplitude, part.valid)):
         warnings.warn(said, QualityWarning, stacklevel=3)
-    return burst, part
+    return burst, part, None if field is None else field.select(used)
 
 
 def _field_of(
