@@ -16,6 +16,7 @@ from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.core.local_means import mean_around
 from lensshift.core.order import median
+from lensshift.core.types import Burst
 from lensshift.forward.operator import LinearOperator, mean_seen, single
 from lensshift.reconstruction.displacement import (
     ALLOWED_SHIFT_PX,
@@ -337,3 +338,16 @@ def _lone_frame(doubt: Array) -> int | None:
     worst = int(np.argmax(share))
     alone = np.sum(share > ALONE_SHARE * share[worst]) == 1 and len(doubt) > 2
     return worst if alone and share[worst] > TELLING_SHARE else None
+
+
+def what_else(part: Burst, channel: str, scale: int) -> str:
+    """Say what else lets frames contradict a picture in places; nothing if nothing does."""
+    causes = []
+    if channel != "phasor" and part.distance_m is not None:
+        causes.append(
+            "pixels see two distances, whose amplitude is no mean of theirs (channel phasor, with "
+            "modulation_hz, allows for it)"
+        )
+    if part.frame_count > scale**2:
+        causes.append(f"there is detail that scale {scale} cannot show (a larger one may)")
+    return f"; or {', or '.join(causes)}" if causes else ""

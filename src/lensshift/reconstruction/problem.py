@@ -171,7 +171,6 @@ def make_problem(
     noise_sigma: float | None,
     intensity: Callable[[Array, Mask], float] = brightness_of,
     pixel_variance: Array | None = None,
-    stray_light: StrayLight | None = None,
     even_noise: bool = True,
     take_level: bool = False,
     keep_outside: bool = False,
@@ -183,8 +182,7 @@ def make_problem(
     values : [frame row col] the channel
     intensity : (values, used) -> what to divide them by, `brightness_of` or `peak_of`
     pixel_variance : [frame row col] known noise variance of each LR pixel, or None
-    stray_light : to be taken out of the values, or None
-    even_noise : as in `Problem`
+    even_noise : as in `Problem`; of such values stray light is taken out that the burst tells
     take_level : whether a level far above the contrast is taken off: what is relative to the size
         of the values would not see the scene
     keep_outside : whether pixels count that look outside the HR image
@@ -215,6 +213,7 @@ def make_problem(
     level, unit = _large_level(values, used) if take_level else (0.0, 0.0)
     unit = unit or intensity(values, used)
     y = (np.where(used, values, level).astype(kind) - level) / unit
+    stray_light = StrayLight.told(burst.meta.get("stray_light")) if even_noise else None
     if stray_light is not None:
         y = np.where(used, stray_light.removed(y), 0.0)
     return Problem(

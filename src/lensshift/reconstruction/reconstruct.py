@@ -28,7 +28,7 @@ from lensshift.reconstruction.devices import Device, on_device
 from lensshift.reconstruction.learned.noise import doubt_about_noise
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
-from lensshift.reconstruction.misfit import ESTIMATED, NOT_ENOUGH
+from lensshift.reconstruction.misfit import ESTIMATED, NOT_ENOUGH, what_else
 from lensshift.reconstruction.options import positive
 from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, Choice, choose_channel
@@ -146,7 +146,7 @@ def reconstruct(
         response than was told, or are overexposed.
     """
     before = streamed if isinstance(streamed, Reconstruction) else None
-    burst = _checked(burst, scale, noise_sigma, streamed=bool(streamed))
+    burst = _checked(burst, scale, noise_sigma, stray_light, streamed=bool(streamed))
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
     chosen = make_method(method, options)
     name, own = chosen.name, chosen.settings
@@ -170,14 +170,13 @@ def reconstruct(
     seen: dict[str, Any] = {
         "scale": scale, "blur": undone(blur, response, chosen, lens_field), "shift_field": field,
         "noise_sigma": noise_sigma, "pixel_variance": variance,
-        "stray_light": stray_light or StrayLight.told(burst.meta.get("stray_light")),
     }  # fmt: skip
     if chosen.reads_response and not photometric and lens_field is None and before is None:
         response, request = as_seen(part, choice.channel, request, response, blur, seen)
         seen["blur"] = undone(blur, response, chosen, lens_field)
     settings = _settings(burst, seen, request, choice) | response | told.settings
     found, flying = _estimates(burst, part, choice.channel, chosen, request, seen)
-    found = _objected(found, told.doubt, request.refuted, _what_else(part, choice.channel, scale))
+    found = _objected(found, told.doubt, request.refuted, what_else(part, choice.channel, scale))
     return Reconstruction(
         found.get("amplitude"), found.get("distance"), burst.grid.refine(scale), scale, name,
         settings, flying, None if burst.intrinsics is None else burst.intrinsics.refine(scale),
@@ -201,7 +200,6 @@ def _estimates(
         return {"amplitude": both.amplitude, "distance": both.distance_m}, both.flying
     found: dict[str, Estimate] = {}
     for key, values in _channels(part, channel).items():
-        seen |= {"stray_light": None} if key == "distance" else {}
         problem = make_problem(
             part, values, even_noise=key != "distance", keep_outside=chosen.keep_outside,
             take_level=chosen.take_level and not request.non_negative,
@@ -221,19 +219,6 @@ def _estimates(
             light = values, part.valid
             found[key] = in_one_light(found[key], *light, request, again, stacklevel=3)
     return found, None
-
-
-def _what_else(part: Burst, channel: str, scale: int) -> str:
-    """Say what else lets frames contradict a picture in places; nothing if nothing does."""
-    causes = []
-    if channel != "phasor" and part.distance_m is not None:
-        causes.append(
-            "pixels see two distances, whose amplitude is no mean of theirs (channel phasor, with "
-            "modulation_hz, allows for it)"
-        )
-    if part.frame_count > scale**2:
-        causes.append(f"there is detail that scale {scale} cannot show (a larger one may)")
-    return f"; or {', or '.join(causes)}" if causes else ""
 
 
 def _objected(
@@ -361,9 +346,21 @@ def _field_of(
     return lens_field.of(burst)
 
 
-def _checked(burst: Burst, scale: int, noise_sigma: float | None, *, streamed: bool) -> Burst:
-    """Return the burst without the pixels that are stuck; a stream does not look for them."""
+def _checked(
+    burst: Burst,
+    scale: int,
+    noise_sigma: float | None,
+    stray_light: StrayLight | None,
+    *,
+    streamed: bool,
+) -> Burst:
+    """Return the burst with the stray light that is told, and without the pixels that are stuck.
+
+    A stream does not look for these.
+    """
     expect_burst(burst)
+    if stray_light is not None:
+        burst = replace(burst, meta={**burst.meta, "stray_light": stray_light.table})
     if noise_sigma is not None:
         positive().check("noise_sigma", noise_sigma)
     if isinstance(scale, bool | float) or scale not in range(1, 9):
@@ -387,7 +384,7 @@ def _settings(
         "non_negative": request.non_negative,
         "photometric": request.photometric,
         "shift_field": seen["shift_field"] is not None,
-        "stray_light": None if seen["stray_light"] is None else seen["stray_light"].table,
+        "stray_light": burst.meta.get("stray_light"),
         "seed": request.seed,
         "device": None if request.device is None else request.device.name,
         **request.options,
