@@ -130,6 +130,22 @@ def test_a_share_that_a_card_measured_gives_dark_surfaces_their_distance():
     assert np.mean(off_m, axis=0)[1] < 0.7 * np.mean(off_m, axis=0)[0]
 
 
+@pytest.mark.parametrize("seed", [0, 4])
+def test_distances_on_their_own_lose_it_as_phasors_do(seed):
+    burst, true_m, flat = room(seed, card=True, noise_seed=2)
+    far_m = np.mod(np.angle(burst.amplitude), 2 * np.pi) / distance_to_phase(1.0, MODULATION_HZ)
+    stray = {"stray_light": StrayLight(0.015, 7.0, 0.001).table}
+    off_m = []
+    for meta in ({}, stray):
+        made = Burst.from_arrays(
+            np.abs(burst.amplitude), far_m, offset_px=SQUARE_PX, pitch_mm=0.1,
+            modulation_hz=MODULATION_HZ, meta=meta,
+        )  # fmt: skip
+        far = reconstruct(made, channel="distance").distance_m.image
+        off_m.append(np.median(np.abs(far - true_m)[flat]))
+    assert off_m[1] < 0.8 * off_m[0]
+
+
 def gaussian_world(seed, share, sigma_px, *, card):
     rng = np.random.default_rng((seed, card))
     x = np.full((4, *SHAPE), 0.3 + 0.1j)

@@ -253,6 +253,10 @@ def _reconstruct(
         error_px = result.settings.get("psf_std_px")
         spread = "" if error_px is None else f" +- {error_px:.2g}"
         current.say(f"blur {width_px:.3g}{spread} px, {_WIDTH_SOURCES[told_by]}{undone}")
+    if stray := result.settings.get("stray_light"):
+        told_by = "given" if asked.stray_light else "burst"
+        share = f"{100 * stray['share']:.2g} % over {stray['sigma_px']:.3g} px"
+        current.say(f"stray light {share}, {_WIDTH_SOURCES[told_by]}: taken out")
     say_channels(current, result)
     current.wrote(*files)
     current.result |= {"input": source, "frame_count": count}

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.arrays import Array
+from lensshift.core.arrays import Array, Floats
+from lensshift.core.stray_light import StrayLight
 from lensshift.core.types import Burst
 from lensshift.core.units import distance_to_phase
 
@@ -45,3 +46,16 @@ def phasor_frames(part: Burst) -> Array:
         return np.where(part.valid, part.amplitude, 0)
     phase_rad = distance_to_phase(np.where(part.valid, part.distance_m, 0), part.frequencies_hz[0])
     return from_polar(np.where(part.valid, part.amplitude, 0), phase_rad)
+
+
+def distances_without(stray: StrayLight | None, part: Burst) -> Floats:
+    """Return the distances [frame row col] of a burst without stray light.
+
+    As they are where their phasors are not known: each of several frequencies has mixed alone.
+    """
+    told_m = np.asarray(part.distance_m)
+    if stray is None or len(part.frequencies_hz) != 1 or not has_phasors(part):
+        return told_m
+    seen = phasor_frames(part)
+    turned_rad = np.angle(stray.removed(seen) * seen.conj())
+    return np.asarray(told_m + turned_rad / distance_to_phase(1.0, part.frequencies_hz[0]))

@@ -15,6 +15,7 @@ from lensshift.core.arrays import Array
 from lensshift.core.defects import colour_mosaic, unequal_brightness
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.lens_field import LensField
+from lensshift.core.phasors import distances_without
 from lensshift.core.stray_light import StrayLight
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
 from lensshift.reconstruction.clipping import (
@@ -109,7 +110,8 @@ def reconstruct(
         of that lens; instead of `shift_field`. `psf_sigma_px` then holds for the middle of the
         sensor, where nobody told it the pixel is square; all methods undo the spot
     stray_light : what lens and sensor throw far from where it belongs, to be taken out of light and
-        phasors; by default what `burst.meta["stray_light"]` says, or none
+        phasors (of distances of several frequencies it cannot); by default what
+        `burst.meta["stray_light"]` says, or none
     photometric : whether to estimate gain and bias of each frame; where frames of light surely
         differ in brightness that is done, and said, without it
     non_negative : whether negative values are forbidden
@@ -293,7 +295,8 @@ def _channels(burst: Burst, channel: str) -> dict[str, Array]:
     if channel in ("separate", "amplitude"):
         found["amplitude"] = burst.amplitude
     if channel in ("separate", "distance") and burst.distance_m is not None:
-        found["distance"] = burst.distance_m
+        stray = StrayLight.told(burst.meta.get("stray_light"))
+        found["distance"] = distances_without(stray, burst)
     return found
 
 
