@@ -136,6 +136,8 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
     settings |= {"frames": methods.parse_frames(asked.frames)}
     methods.check_method(asked.method)
     settings |= methods.parse_options(asked.method, asked.method_options or [])
+    if asked.stray_light is not None:
+        settings["stray_light"] = StrayLight(*asked.stray_light)
     if is_recording(asked):
         reconstruct_windows(current, asked, settings)
         return
@@ -146,8 +148,6 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
     if asked.psf_sigma_px is not None or asked.fill_factor is not None:
         # That of a calibration would hold the pixel as well.
         known["psf_sigma_px"] = asked.psf_sigma_px
-    if asked.stray_light is not None:
-        known["stray_light"] = StrayLight(*asked.stray_light)
     _reconstruct(current, asked, burst, settings | known, files)
 
 
