@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -87,26 +90,64 @@ def test_parts_that_do_not_fit_leave_no_recording(tmp_path: Path):
         write_recording(target, 50, parts(46))
     with pytest.raises(DataError, match="expected 46 frames, got more"):
         write_recording(tmp_path / "other.nc", 46, parts(50))
-    with pytest.raises(DataError, match="begun with other settings"):
-        write_recording(target, 46, parts(46))
-    assert not target.exists()
-    assert write_recording(target, 50, parts(50)) == target  # gone on with
-    assert not list(tmp_path.glob("film.nc.*"))
+    with pytest.raises(DataError, match="expected 1 frames, got 0"):
+        write_recording(target, 1, [])
+    assert not list(tmp_path.iterdir())
 
 
-def test_a_recording_is_of_the_parts_that_finish_it(tmp_path: Path):
+def test_a_recording_is_packed_as_a_burst_file_is(tmp_path: Path):
+    light = np.full((400, *SHAPE), 0.25)
+    light[:, 2:5, 3:9] = 0.5
+    burst = Burst.from_arrays(light, offset_px=np.tile(SQUARE_PX, (100, 1)), pitch_mm=0.1)
+    lensshift.save_burst(burst, tmp_path / "burst.nc")
+    each = (burst.select(range(k, k + 40)) for k in range(0, 400, 40))
+    film = write_recording(tmp_path / "film.nc", 400, each)
+    np.testing.assert_array_equal(lensshift.load_burst(film).amplitude, light)
+    assert film.stat().st_size < 1.2 * (tmp_path / "burst.nc").stat().st_size < light.nbytes / 4
+
+
+FULL_DISK = """
+import resource, sys
+sys.dont_write_bytecode = True  # else what is left of it is cut off
+import numpy as np
+import lensshift
+from lensshift.io.sequence_file import begin_sequence
+kind, path, limit = sys.argv[1], sys.argv[2], int(sys.argv[3])
+light = np.random.default_rng(0).random((40, 48, 64))
+part = lensshift.Burst.from_arrays(light, offset_px=np.zeros((40, 2)), pitch_mm=1.0)
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+try:
+    if kind == "recording":
+        lensshift.write_recording(path, 120, [part] * 3)
+    else:
+        begin_sequence(path, 500, part.grid, ("amplitude",), scale=2, method="auto", settings={},
+                       flying=False, intrinsics=None)
+except lensshift.DataError as error:
+    sys.exit(0 if "cannot write: File too large" in str(error) else 3)
+sys.exit(4)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="has no limit of the size of a file")
+@pytest.mark.parametrize("limit_bytes", [3_000, 70_000, 900_000])
+@pytest.mark.parametrize("kind", ["recording", "sequence"])
+def test_a_full_disk_is_an_error_that_leaves_nothing(kind: str, limit_bytes: int, tmp_path: Path):
+    command = [sys.executable, "-c", FULL_DISK, kind, str(tmp_path / "x.nc"), str(limit_bytes)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert not list(tmp_path.iterdir())
+
+
+def test_parts_of_another_kind_are_refused(tmp_path: Path):
     target = tmp_path / "film.nc"
 
     def of(light: float, pitch_mm: float = 0.1, hz: float = F_HZ) -> Burst:
         frames = np.full((4, *SHAPE), light)
         return Burst.from_arrays(frames, offset_px=SQUARE_PX, pitch_mm=pitch_mm, modulation_hz=hz)
 
-    with pytest.raises(DataError, match="expected 12 frames, got 8"):
-        write_recording(target, 12, [of(0.1), of(0.1)])
-    with pytest.raises(DataError, match="begun with other settings"):
-        write_recording(target, 12, [of(0.2, pitch_mm=0.2)] * 3)
-    for other in (of(0.2, pitch_mm=0.2), of(0.2, hz=2 * F_HZ)):
-        with pytest.raises(DataError, match="frame 4: expected a pitch and modulation"):
+    farther = replace(of(0.2), distance_m=np.ones((4, *SHAPE)))
+    for other in (of(0.2, pitch_mm=0.2), of(0.2, hz=2 * F_HZ), farther):
+        with pytest.raises(DataError, match="frame 4: expected pitch, modulation and fields"):
             write_recording(target, 12, [of(0.2), other])
     write_recording(target, 12, [of(0.2)] * 3)
     assert np.all(lensshift.load_burst(target).amplitude == 0.2)
@@ -239,9 +280,9 @@ def test_what_was_half_written_is_made_anew(film: Path, tmp_path: Path):
 
 
 def test_frames_that_were_not_written_are_no_dark_ones(tmp_path: Path):
-    with pytest.raises(DataError, match="expected 50 frames, got 46"):
-        write_recording(tmp_path / "film.nc", 50, parts(46))
-    begun = (tmp_path / "film.nc.part").rename(tmp_path / "copied.nc")
+    begun = write_recording(tmp_path / "film.nc", 50, parts(50))
+    with h5py.File(begun, "r+") as file:  # as before 0.2 where it was broken off
+        file["entry/data/written"] = (np.arange(50) < 46).astype(np.uint8)
     with pytest.raises(DataError, match="46 of 50 frames were written before it was broken off"):
         lensshift.load_burst(begun)
     with pytest.raises(DataError, match="46 of 50 frames"):

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from hashlib import sha256
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,6 @@ from lensshift.io.intrinsics_fields import (
     intrinsics_variables,
     read_intrinsics,
 )
-from lensshift.io.piecewise_file import PiecewiseFile
 
 SCHEMA = "lensshift-burst/1"
 _AXES = ("frame", "row", "col")
@@ -141,7 +140,7 @@ def write_recording(path: str | Path, frame_count: int, parts: Iterable[Burst]) 
     """Write bursts one after the other as one burst file, which may be larger than memory.
 
     Of one grid, modulation and kind; `meta`, intrinsics and source of the offsets are those of the
-    first, raw data are left out. What was begun of the same kind is gone on with.
+    first, raw data are left out. The file appears whole or not at all.
 
     Raises
     ------
@@ -149,45 +148,44 @@ def write_recording(path: str | Path, frame_count: int, parts: Iterable[Burst]) 
         If the parts do not hold that many frames or do not fit together, or the file cannot be
         written.
     """
-    file, at, kind = None, 0, None
-    try:
-        for part in parts:
-            found = _variables(replace(part, raw={}, phasors=None))
-            each = {name: one for name, one in found.items() if one.dims[0] == "frame" != name}
-            its_kind = part.grid.pitch_mm, part.modulation_hz
-            if file is None:
-                file, kind = _begun(path, frame_count, part, each), its_kind
-            if its_kind != kind:
-                problem = f"expected a pitch and modulation of {kind}, got {its_kind}"
-                raise DataError(problem, field=f"frame {at}", source=path)
-            if at + part.frame_count > frame_count:
-                raise DataError(f"expected {frame_count} frames, got more", source=path)
-            # Also what is there, which may be of other frames.
-            file.write(at, {name: np.asarray(one.values) for name, one in each.items()})
-            at += part.frame_count
-        if file is None or at < frame_count:
-            raise DataError(f"expected {frame_count} frames, got {at}", source=path)
-        return file.finish()
-    finally:
-        if file is not None:
-            file.close()
-
-
-def _begun(
-    path: str | Path, frame_count: int, part: Burst, variables: Mapping[str, writer.Variable]
-) -> PiecewiseFile:
-    if part.phasors is not None:
+    left, at = iter(parts), 0
+    first = next(left, None)
+    if first is None:
+        raise DataError(f"expected {frame_count} frames, got 0", source=path)
+    if first.phasors is not None:
         raise DataError("phasors of several frequencies are not recorded in parts", source=path)
-    space = {}
-    for name, one in variables.items():
-        values = writer.Allocated((frame_count, *one.values.shape[1:]), one.values.dtype)
-        space[name] = replace(one, values=values)
-    space |= intrinsics_variables(part.intrinsics) | writer.pixel_centres(part.grid.shape)
-    attributes = _attributes(part)
-    told = repr((attributes, part.intrinsics)).encode()  # may be too long for one attribute
-    begun = {"frames": frame_count, "names": sorted(space), "told": sha256(told).hexdigest()}
-    content = writer.Content(SCHEMA, _AXES, space, attributes)
-    return PiecewiseFile.begin(path, content, writer.to_json(begun, "begun"))
+    kind, spaces = _kind(first), dict(_of_frames(first))
+    for name, one in spaces.items():
+        values = writer.Allocated((frame_count, *one.values.shape[1:]), one.values.dtype, True)
+        spaces[name] = replace(one, values=values)
+    spaces |= intrinsics_variables(first.intrinsics) | writer.pixel_centres(first.grid.shape)
+    content = writer.Content(SCHEMA, _AXES, spaces, _attributes(first))
+    with naming(path), writer.writing_parts(content, path) as group:
+        for part in chain([first], left):
+            if _kind(part) != kind:
+                problem = f"expected pitch, modulation and fields of {kind}, got {_kind(part)}"
+                raise DataError(problem, field=f"frame {at}")
+            end = at + part.frame_count
+            if end > frame_count:
+                raise DataError(f"expected {frame_count} frames, got more")
+            for name, one in _of_frames(part).items():
+                group[name][at:end] = one.values
+            at = end
+        if at < frame_count:
+            raise DataError(f"expected {frame_count} frames, got {at}")
+    return Path(path)
+
+
+def _of_frames(burst: Burst) -> dict[str, writer.Variable]:
+    """Return the variables that say something of each frame, but for what is raw."""
+    found = _variables(replace(burst, raw={}, phasors=None))
+    return {name: one for name, one in found.items() if one.dims[0] == "frame" != name}
+
+
+def _kind(burst: Burst) -> tuple[Any, ...]:
+    """Return what is the same in all parts of a recording."""
+    fields = {name: one.values.shape[1:] for name, one in _of_frames(burst).items()}
+    return burst.grid.pitch_mm, burst.modulation_hz, fields
 
 
 def _burst(

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, naming
 from lensshift.core.settings import parse_json
+from lensshift.io.container_writer import GROUP
 from lensshift.io.reading import check_held, check_unpacked, reading, require_file
 
-GROUP = "entry/data"
 WRITTEN = "written"  # of `io.piecewise_file`
 OTHERS = (
     "load_image_stack reads images, and arrays of other programs from NPZ: amplitude, distance_m, "

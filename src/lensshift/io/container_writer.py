@@ -10,10 +10,11 @@ noticed rather than read as numbers.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, is_dataclass
 from enum import Enum
-from io import BytesIO
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from lensshift.core.atomic import written_whole
 from lensshift.core.errors import DataError, naming
 
+GROUP = "entry/data"
 CHUNK_BYTES = 1_000_000  # what HDF5 caches by default
 _LIBVER = ("v110", "v110")
 _OTHERS = frozenset([
@@ -34,10 +36,11 @@ _STORABLE = frozenset(["u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f4", "f8
 
 @dataclass(frozen=True, slots=True)
 class Allocated:
-    """Space for an array that is filled later, see `io.piecewise_file`."""
+    """Space for an array that is filled later, packed or as one run of bytes."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+    packed: bool = False
 
     @property
     def ndim(self) -> int:
@@ -84,21 +87,67 @@ def refuse_other_ending(path: str | Path) -> None:
 
 def write_container(content: Content, path: str | Path) -> None:
     """Write variables and attributes to a new file in one step; DataError if one does not fit."""
+    with writing_parts(content, path):
+        pass
+
+
+@contextmanager
+def writing_parts(content: Content, path: str | Path) -> Iterator[Any]:
+    """Yield the group of a new file's variables, to fill what is `Allocated`; else as above."""
+    import h5py
+
     refuse_other_ending(path)
-    # HDF5 may crash when the disk is full, so it writes to memory and Python to the disk.
-    image = BytesIO()
-    write_hdf5(content, image, path)
-    with written_whole(path) as temporary:
-        temporary.write_bytes(image.getbuffer())
+    with naming(path):
+        lengths = _dimension_lengths(content.variables)
+    with written_whole(path) as temporary, _Enduring(temporary) as file:
+        _write_hdf5(content, lengths, file)
+        with h5py.File(file, "r+", libver=_LIBVER) as opened:
+            yield opened[GROUP]
+            file.check()
 
 
-def write_hdf5(content: Content, target: BytesIO | Path, path: str | Path) -> None:
-    """Write a container to memory or a new file; `path` is for messages, such as a DataError."""
+class _Enduring(FileIO):
+    """A new file for HDF5, which crashes where it cannot write: it is told that it has written.
+
+    What went wrong first is raised by `check`, and when the block ends, whatever HDF5 says then.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "x+")
+        self._failed: OSError | None = None
+
+    def check(self) -> None:
+        """Raise what went wrong."""
+        if self._failed is not None:
+            raise self._failed
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+        self.check()
+
+    def write(self, data: Any) -> int:
+        """Write all, or nothing any more."""
+        left = memoryview(data)
+        try:
+            while left and self._failed is None:
+                left = left[super().write(left) :]
+        except OSError as error:
+            self._failed = error
+        return len(data)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Make it so long, unless that fails."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self._failed = self._failed or error
+            return self.tell()
+
+
+def _write_hdf5(content: Content, lengths: Mapping[str, int], file: _Enduring) -> None:
     import h5netcdf
     import h5py
 
-    with naming(path):
-        lengths = _dimension_lengths(content.variables)
     attributes = _known({
         "NX_class": "NXdata",
         "signal": next(iter(content.variables)),
@@ -108,18 +157,20 @@ def write_hdf5(content: Content, target: BytesIO | Path, path: str | Path) -> No
         "software": f"lensshift {_version()}",
         **content.attributes,
     })  # fmt: skip
-    with h5netcdf.File(target, "w", libver=_LIBVER) as file:
-        file.attrs.update({**attributes, "NX_class": "NXroot", "default": "entry"})
-        entry = file.create_group("entry")
+    with h5netcdf.File(file, "w", libver=_LIBVER) as made:
+        made.attrs.update({**attributes, "NX_class": "NXroot", "default": "entry"})
+        entry = made.create_group("entry")
         entry.attrs.update({"NX_class": "NXentry", "default": "data"})
         data = entry.create_group("data")
         data.attrs.update(attributes)
         data.dimensions = lengths
         for name, variable in content.variables.items():
             _write_variable(data, name, variable)
-    with h5py.File(target, "r+", libver=_LIBVER) as file:
-        for name, item in file["entry/data"].items():  # dimensions without variables as well
-            file[name] = item  # a second name, not a second copy
+    file.check()
+    with h5py.File(file, "r+", libver=_LIBVER) as opened:
+        for name, item in opened[GROUP].items():  # dimensions without variables as well
+            opened[name] = item  # a second name, not a second copy
+    file.check()
 
 
 def pixel_centres(shape: tuple[int, int]) -> dict[str, Variable]:
@@ -187,15 +238,16 @@ def _known(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 def _write_variable(data: Any, name: str, variable: Variable) -> None:
     values = variable.values
-    if isinstance(values, Allocated):
+    if isinstance(values, Allocated) and not values.packed:
         written = data.create_variable(name, variable.dims, values.dtype)
         written[(-1,) * values.ndim] = 0  # takes all the space
     else:
-        values = values.astype(values.dtype.newbyteorder("="), copy=False)
+        dtype = values.dtype.newbyteorder("=")
         compression = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-        chunks = _chunk_shape(values.shape, values.dtype.itemsize)
+        chunks = _chunk_shape(values.shape, dtype.itemsize)
+        filled = None if isinstance(values, Allocated) else values.astype(dtype, copy=False)
         written = data.create_variable(
-            name, variable.dims, values.dtype, data=values, chunks=chunks, fletcher32=True,
+            name, variable.dims, dtype, data=filled, chunks=chunks, fletcher32=True,
             **(compression if values.ndim > 1 else {}),
         )  # fmt: skip
     written.attrs.update(_known(variable.attributes))

@@ -18,8 +18,8 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lensshift.core.atomic import GrowingFile, writable_target, written_whole
-from lensshift.core.errors import DataError, naming
+from lensshift.core.atomic import GrowingFile, writable_target
+from lensshift.core.errors import DataError
 from lensshift.io import container_writer as writer
 from lensshift.io.capture_file import lock
 from lensshift.io.container_reader import WRITTEN, open_container
@@ -66,8 +66,7 @@ class PiecewiseFile(GrowingFile):
                 raise DataError(problem, source=target)
             described = {**content.attributes, "begun": writer.sealed_text(begun)}
             whole = replace(content, variables=variables, attributes=described)
-            with naming(path), written_whole(part) as fresh:
-                writer.write_hdf5(whole, fresh, path)
+            writer.write_container(whole, part)
         with open_container(part, content.schema) as container:
             if container.text("begun") != begun:
                 problem = (
