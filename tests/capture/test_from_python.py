@@ -11,9 +11,10 @@ import pytest
 from typer.testing import CliRunner
 
 from lensshift import load_burst
+from lensshift.capture.drivers import from_python
 from lensshift.capture.opening import open_rig
 from lensshift.cli.app import app
-from lensshift.core.errors import DataError, DeviceError
+from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 
 DOCS = Path(__file__).parents[2] / "docs" / "own-devices.md"
 
@@ -81,6 +82,7 @@ def test_a_wrong_rig_file_is_refused_in_a_line(rig: Path, old: str, new: str, sa
         ("return self._place_mm  #", "return [0.15, float('nan')]  #", "position_mm: expected"),
         ("return self._place_mm  #", "return 'there'  #", "ValueError: could not convert"),
         ("self._place_mm = position_mm", "raise OSError('USB gone')", "piezo.*OSError: USB gone"),
+        ("self._place_mm = position_mm", "raise SystemExit(3)", "piezo.*SystemExit: 3"),
         ("return self.position_mm()", "return None", "move_to: expected"),
         ("[[0.0, 0.3], [0.0, 0.3]]", "[[0.3, 0.0], [0.0, 0.3]]", "its travel_mm is empty"),
         ("[[0.0, 0.3], [0.0, 0.3]]", "[0.0, 0.3]", "travel_mm: expected"),
@@ -96,6 +98,46 @@ def test_what_a_device_does_wrong_names_it(
     change(module(rig), old, new)
     with pytest.raises((DataError, DeviceError), match=said), open_rig(rig) as opened:
         opened.capture("square", tmp_path / "burst.nc")
+
+
+HANG = "__import__('time').sleep(1e6)"
+
+
+def test_a_move_that_never_ends_is_an_error_in_time(rig: Path, tmp_path: Path) -> None:
+    change(
+        module(rig),
+        "self._place_mm = position_mm",
+        f"position_mm[0] > 0.16 and {HANG}; self._place_mm = position_mm",
+    )
+    change(rig, 'port = "COM5"', 'port = "COM5"\nmove_timeout_s = 0.3')
+    said = r"piezo at COM5: move_to: has not returned for 0\.3 s \(\[stage\] move_timeout_s\)"
+    with pytest.raises(DeviceTimeout, match=said), open_rig(rig) as opened:
+        opened.capture("square", tmp_path / "burst.nc")
+    assert load_burst(tmp_path / "burst.nc").frame_count == 2
+
+
+@pytest.mark.parametrize("what", ["def open(self", "def next_frame(self"])
+def test_a_camera_that_hangs_is_an_error_in_time(
+    rig: Path, what: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(from_python, "MOST_S", 0.3)
+    hanging = f"class Hanging(CallableCamera):\n    {what}, *_): {HANG}\n\n\ndef camera("
+    change(module(rig), "def camera(", hanging)
+    change(module(rig), "    return CallableCamera(", "    return Hanging(")
+    change(rig, "[calibration]", "[acquisition]\nframe_timeout_s = 0.1\n\n[calibration]")
+    name = re.findall(r"\w+", what)[1]
+    with (
+        pytest.raises(DeviceTimeout, match=f"my camera: {name}: has not returned for 0"),
+        open_rig(rig) as opened,
+    ):
+        opened.capture("square", tmp_path / "burst.nc")
+
+
+@pytest.mark.parametrize("told", ["0", "inf", "'long'"])
+def test_a_time_for_moves_has_to_be_one(rig: Path, told: str) -> None:
+    change(rig, 'port = "COM5"', f'port = "COM5"\nmove_timeout_s = {told}')
+    with pytest.raises(DataError, match=r"rig\.toml: stage\.move_timeout_s: expected"):
+        open_rig(rig)
 
 
 def test_what_devices_print_is_no_json(rig: Path) -> None:

@@ -341,6 +341,7 @@ def test_link_is_written_through(tmp_path: Path) -> None:
 
 FULL_DISK = """
 import resource, sys
+sys.dont_write_bytecode = True  # else what is left of it is cut off
 import numpy as np
 from lensshift.core.errors import DataError, printable
 from lensshift.core.types import Burst

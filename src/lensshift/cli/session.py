@@ -17,7 +17,7 @@ from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
 
-from lensshift.core.ending import Closing, ended_by_signals, interruption
+from lensshift.core.ending import Closing, Ended, ended_by_signals, interruption
 from lensshift.core.errors import QualityWarning, WorstWarning, printable
 from lensshift.core.settings import to_json
 
@@ -130,7 +130,7 @@ def session(*, as_json: bool, debug: bool, doing: str = "") -> Iterator[Session]
             raise
         except (KeyboardInterrupt, *_FAILURES) as error:
             ended = interruption(error)
-            if isinstance(ended, SystemExit):
+            if isinstance(ended, Ended):
                 raise ended from error
             if ended is None:
                 _report(error, current)

@@ -38,6 +38,10 @@ class Closing(ABC):
         self.close()
 
 
+class Ended(SystemExit):
+    """Ends a program as a signal does; any other `SystemExit` is of somebody else's code."""
+
+
 class Ending:
     """Takes signals: the first one ends the block, those after it do not disturb its end.
 
@@ -74,7 +78,7 @@ class Ending:
         """Return what ends a program as this signal does."""
         if self.number == signal.SIGINT:
             return KeyboardInterrupt()
-        return SystemExit(128 + self.number)  # what a shell says of a process that a signal ended
+        return Ended(128 + self.number)  # what a shell says of a process that a signal ended
 
 
 def interruption(error: BaseException) -> BaseException | None:
@@ -83,7 +87,7 @@ def interruption(error: BaseException) -> BaseException | None:
     What is left half done, such as a ZIP, may fail to close.
     """
     found: BaseException | None = error
-    while found is not None and not isinstance(found, KeyboardInterrupt | SystemExit):
+    while found is not None and not isinstance(found, KeyboardInterrupt | Ended):
         found = found.__context__
     return found
 
@@ -92,7 +96,7 @@ def interruption(error: BaseException) -> BaseException | None:
 def ended_by_signals(
     *, at_once: bool = True, ctrl_c: bool = False, meanwhile: str = ""
 ) -> Iterator[Ending]:
-    """Let SIGTERM and a closed terminal raise `SystemExit` in the block, as Ctrl-C would.
+    """Let SIGTERM and a closed terminal raise `Ended` in the block, as Ctrl-C would.
 
     Signals that somebody else handles or ignores (`nohup`) stay theirs. In another thread than
     the main one, where Python delivers no signals, it does nothing. What is raised may be swallowed

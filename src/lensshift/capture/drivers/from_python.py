@@ -1,14 +1,17 @@
 """Devices of the user's own, named in a rig file as `module:attribute`, under the same checks.
 
-What they return is looked at, and what they raise becomes an error that names them, because nobody
-here knows that code.
+What they return is looked at, what they raise becomes an error that names them, and what never
+returns is left behind, because nobody here knows that code.
 """
 
 from __future__ import annotations
 
 import importlib
 import sys
+import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from contextlib import ExitStack
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -20,11 +23,16 @@ from numpy.typing import ArrayLike
 from lensshift.capture.drivers.from_callable import frame_from
 from lensshift.capture.rig import Camera, CameraFrame, OnHoming, Stage, goal_within
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import DataError, DeviceError
+from lensshift.core.ending import Ended
+from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid
-from lensshift.core.settings import built, parameters, parse_json, to_json
+from lensshift.core.settings import built, fit, parameters, parse_json, to_json
 
 T = TypeVar("T")
+
+# Longer than a lens takes from one end of its way to the other, or a camera to wake up.
+MOST_S = 60.0
+_MOVE = "move_timeout_s"  # entry of a stage that may take longer
 
 
 def python_stage(
@@ -40,10 +48,15 @@ def python_stage(
     DeviceError if it fails.
     """
     make = _attribute(table, folder, "stage")
+    most_s = fit(table.get(_MOVE, MOST_S), float, f"stage.{_MOVE}")
+    if not 0 < most_s <= threading.TIMEOUT_MAX:
+        raise DataError(f"expected seconds above 0, got {most_s:g}", field=f"stage.{_MOVE}")
+    if _MOVE not in parameters(make):
+        table = {name: one for name, one in table.items() if name != _MOVE}
     offered = {"home": home, "on_homing": on_homing}
     takes = parameters(make)
     beside = {name: one for name, one in offered.items() if one is not None and name in takes}
-    return _CheckedStage(_made(make, table, "stage", Stage, beside))
+    return _CheckedStage(_made(make, table, "stage", Stage, beside), most_s)
 
 
 def python_camera(table: Mapping[str, Any], folder: Path) -> Camera:
@@ -98,7 +111,8 @@ class _Named:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, Exception) and not isinstance(error, DataError | DeviceError):
+        ours = isinstance(error, DataError | DeviceError | Ended)
+        if isinstance(error, Exception | SystemExit) and not ours:  # of `sys.exit` in a library
             problem = f"{type(error).__name__}: {error}"
             if self._kind is DataError:
                 raise DataError(problem, field=self._name) from error
@@ -110,7 +124,25 @@ class _Checked:
 
     def __init__(self, device: Any) -> None:
         self._device = device
+        self._thread: threading.Thread | None = None
         self.name = str(device.name)
+
+    def _in_time(self, what: str, call: Callable[[], T], most_s: float, cure: str = "") -> T:
+        """Return what a call returns, which has a thread of its own: if it hangs, that is left.
+
+        One that was interrupted has to end before the next one begins.
+        """
+        left, found = self._thread, Future[T]()
+        if left is not None:
+            left.join(most_s)
+        if left is None or not left.is_alive():
+            self._thread = threading.Thread(target=_called, args=(call, found), daemon=True)
+            self._thread.start()
+            self._thread.join(most_s)
+            if found.done():
+                return found.result()
+        problem = f"has not returned for {most_s:g} s{cure}"
+        raise DeviceTimeout(problem, device=self.name, command=what)
 
     def _ask(self, what: str, kind: Callable[[Any], T], *args: Any, **options: Any) -> T:
         """Return a property, or what a method returns, as a kind of value."""
@@ -129,11 +161,23 @@ class _Checked:
         return self._ask("describe", lambda told: parse_json(to_json(dict(told))))
 
 
+def _called(call: Callable[[], T], found: Future[T]) -> None:
+    def relay(_: object, error: BaseException | None, __: object) -> bool:
+        if error is not None:
+            found.set_exception(error)
+        return error is not None
+
+    with ExitStack() as relaying:
+        relaying.push(relay)
+        found.set_result(call())
+
+
 class _CheckedStage(_Checked):
     """A stage of somebody else's; what it returns is what `Stage` promises, or an error."""
 
-    def __init__(self, stage: Any) -> None:
+    def __init__(self, stage: Any, most_s: float) -> None:
         super().__init__(stage)
+        self._most_s = most_s
         low, high = self.travel_mm.T
         if not np.all(low < high):
             raise self._error("its travel_mm is empty")
@@ -154,7 +198,8 @@ class _CheckedStage(_Checked):
 
     def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
         goal_mm = goal_within(self.travel_mm, position_mm)
-        return self._numbers("move_to", (2,), goal_mm, direct=direct)
+        move = partial(self._numbers, "move_to", (2,), goal_mm, direct=direct)
+        return self._in_time("move_to", move, self._most_s, f" ([stage] {_MOVE})")
 
     def stop(self) -> None:
         self._ask("stop", type)
@@ -179,7 +224,7 @@ class _CheckedCamera(_Checked):
             return getattr(self._device, "intrinsics", None)
 
     def open(self) -> None:
-        self._ask("open", type)
+        self._in_time("open", partial(self._ask, "open", type), MOST_S)
         self._cycle = -1
 
     def newest_cycle(self) -> int:
@@ -187,7 +232,9 @@ class _CheckedCamera(_Checked):
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
         with _Named(self.name, DeviceError):
-            shot = self._checked("next_frame", self._device.next_frame(timeout_s), CameraFrame)
+            take = partial(self._device.next_frame, timeout_s)
+            taken = self._in_time("next_frame", take, timeout_s + MOST_S)
+            shot = self._checked("next_frame", taken, CameraFrame)
             seen = {one.name: getattr(shot.frame, one.name) for one in fields(shot.frame)}
             frame, raw = frame_from({**shot.raw, **seen})
             shot = CameraFrame(frame, int(shot.cycle), float(shot.arrived_s), raw)
