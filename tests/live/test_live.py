@@ -1,6 +1,8 @@
 """The live page without a browser: what arrives, what is shown, who may ask."""
 
+import errno
 import json
+import re
 import sys
 import time
 import urllib.error
@@ -21,6 +23,7 @@ from lensshift.core.errors import DataError, DeviceError, DeviceTimeout
 from lensshift.core.grid import Grid
 from lensshift.core.types import Frame
 from lensshift.io import load_burst, load_reconstruction
+from lensshift.io.capture_file import CaptureWriter
 from lensshift.live.controls import box_of, checked, control
 from lensshift.live.message import coded, message
 from lensshift.live.picture import Settings
@@ -327,6 +330,43 @@ def test_a_recording_is_read_in_parts_and_loses_nothing(
     assert sum(sizes) == 32
     assert max(sizes) < 18
     assert [one.name for one in tmp_path.iterdir()] == [made.path.name]
+
+
+def test_a_full_disk_ends_the_recording_and_no_frame(
+    burst: Burst, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with Live(source_of(burst, 100.0), QUICK) as live:
+        until(lambda: live.picture is not None)
+        control(live, {"record": True}, tmp_path)
+        until(lambda: live.recording is not None and live.recording.count >= 70)
+        with monkeypatch.context() as patched:
+            patched.setattr(CaptureWriter, "_put", full)
+            until(lambda: live.problem)
+        told = re.search(
+            "recording has ended: .*No space left.* the (.*) frames before", live.problem
+        )
+        assert told is not None
+        frames = live.frame_count
+        until(lambda: live.frame_count > frames + 2)
+        assert not live.ended
+        kept = load_burst(tmp_path / "recording-0001.nc").frame_count
+        assert kept == int(told[1]) >= 70
+        control(live, {"record": True}, tmp_path)
+        assert not live.problem
+
+
+def test_whatever_ends_a_source_is_said(burst: Burst) -> None:
+    class Leaving(BurstSource):
+        def shots(self) -> Iterator[Shot]:
+            yield next(super().shots())
+            sys.exit("the SDK has left")
+
+    with Live(Leaving(burst, "frames"), QUICK) as live:
+        until(lambda: live.ended)
+        assert live.problem == "the SDK has left"
 
 
 def test_a_recording_without_a_frame_leaves_nothing(burst: Burst, tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ class CaptureWriter(GrowingFile):
         self, path: Path, file: BinaryIO, header: Mapping[str, Any], frames: list[FrameRecord]
     ) -> None:
         super().__init__(file)
-        self.path, self.header, self.frames = path, dict(header), frames
+        self.path, self.header, self.frames, self.count = path, dict(header), frames, len(frames)
         self._first = frames[0].arrays() if frames else {}
 
     @classmethod
@@ -144,6 +144,7 @@ class CaptureWriter(GrowingFile):
         np.savez(packed, **arrays)  # type: ignore[arg-type]  # names are ours
         self._write(packed.getbuffer())
         self.frames.append(record)
+        self.count += 1
 
     def _write(self, payload: bytes | memoryview) -> None:
         start = self._file.tell()
@@ -154,7 +155,7 @@ class CaptureWriter(GrowingFile):
             with suppress(OSError):  # readers skip half a record anyway
                 self._file.seek(start)
                 self._file.truncate(start)
-            problem = f"cannot write: {error.strerror}; the {len(self.frames)} frames before are"
+            problem = f"cannot write: {error.strerror}; the {self.count} frames before are"
             raise DataError(f"{problem} kept", source=self.path) from error
 
 

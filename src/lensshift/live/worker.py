@@ -6,8 +6,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing, suppress
 
+from lensshift.core.errors import DataError
 from lensshift.core.types import Burst
 from lensshift.live.picture import Picture, Settings
 from lensshift.live.recording import Recording
@@ -73,7 +74,7 @@ class Live:
         self.source = source
         self.settings = settings or Settings()  # of the pictures from now on
         self.picture: Picture | None = None
-        self._failure = self._refusal = ""
+        self._failure = self._refusal = self._unkept = ""
         self._warning, self._warned_s = "", 0.0
         self.arrived, self.visited, self.solved = Rate(), Rate(), Rate()
         self.frame_count = 0
@@ -107,8 +108,11 @@ class Live:
 
     @property
     def problem(self) -> str:
-        """What ended the frames, or else what speaks against the settings; or nothing."""
-        return self._failure or self._refusal
+        """What ended the frames, or else what speaks against the settings; or nothing.
+
+        What ended a recording stands there until the next one.
+        """
+        return self._failure or self._refusal or self._unkept
 
     @property
     def warning(self) -> str:
@@ -127,15 +131,20 @@ class Live:
     def record(self, recording: Recording | None) -> None:
         """Write the frames from now on; end the one before, or a DataError if it cannot be."""
         with self._recording_lock:
-            before, self._recording = self._recording, recording
+            before, self._recording, self._unkept = self._recording, recording, ""
         if before is not None:
             before.close()
 
     def _guarded(self, work: Callable[[], None]) -> None:
-        try:
+        with ExitStack() as relaying:
+            relaying.push(self._relay)
             work()
-        except FAILURES as error:
+
+    def _relay(self, _: object, error: BaseException | None, __: object) -> bool:
+        """Say whatever ends a thread, of which nobody would hear."""
+        if error is not None:
             self._failure = _words(error)
+        return isinstance(error, (*FAILURES, SystemExit))
 
     def _receive(self) -> None:
         with closing(self.source.shots()) as shots:  # type: ignore[type-var]
@@ -154,12 +163,15 @@ class Live:
                 self._write(shot)
 
     def _write(self, shot: Shot) -> None:
-        with self._recording_lock:
-            recording = self._recording
-            if recording is not None and recording.append(shot):
-                return
-        if recording is not None:  # another plan is another burst
-            self.record(None)
+        try:
+            with self._recording_lock:
+                if self._recording is None or self._recording.append(shot):
+                    return
+            self.record(None)  # another plan is another burst
+        except DataError as error:  # as of a full disk, which ends the recording and no frame
+            with suppress(DataError):  # then the journal stays
+                self.record(None)
+            self._unkept = f"the recording has ended: {error}"
 
     def _solve(self) -> None:
         made: tuple[Burst, Settings] | None = None
@@ -195,5 +207,5 @@ class Live:
         self.solved.tick()
 
 
-def _words(error: Exception) -> str:
+def _words(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
