@@ -62,6 +62,10 @@ def source_of(burst: Burst, rate_hz: float = 20.0) -> BurstSource:
     return BurstSource(burst, "frames", rate_hz=rate_hz)
 
 
+def measures_for_ever(*_: object) -> None:
+    time.sleep(1e4)
+
+
 QUICK = Settings(2, "bicubic")
 
 

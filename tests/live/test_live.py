@@ -2,8 +2,10 @@
 
 import errno
 import json
+import multiprocessing
 import re
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -14,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from serving import QUICK, served, source_of, unpacked, until
+from serving import QUICK, measures_for_ever, served, source_of, unpacked, until
 
 import lensshift
 from lensshift import Burst
@@ -512,3 +514,19 @@ def test_numbered_files_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(Path, "exists", lambda _: True)
     with pytest.raises(DataError, match="9999"):
         unused(tmp_path, "recording", ".nc")
+
+
+def test_the_end_waits_for_no_measurement(
+    burst: Burst, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = multiprocessing.active_children()
+    monkeypatch.setattr("lensshift.live.server.edge_curve", measures_for_ever)
+    with served(source_of(burst), tmp_path) as (address, live):
+        until(lambda: live.picture is not None)
+        asked = threading.Thread(
+            target=status, args=(f"{address}edge", b'{"box": [0, 9, 0, 9]}'), daemon=True
+        )
+        asked.start()
+        time.sleep(3.0)  # it is begun, or waits for the process to start
+        assert asked.is_alive()
+    until(lambda: set(multiprocessing.active_children()) <= set(before), 30.0)

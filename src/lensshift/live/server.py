@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import os
+import signal
 import time
 from collections.abc import AsyncIterator
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
@@ -52,6 +54,7 @@ class Pages:
     async def lifespan(self, _: object) -> AsyncIterator[None]:
         """Measure shifts now and then while the server runs."""
         self._pool = beside()
+        worker = self._pool.submit(os.getpid)
         measuring = asyncio.create_task(self._measure_shifts(self._pool))
         try:
             yield
@@ -60,6 +63,9 @@ class Pages:
             with suppress(asyncio.CancelledError):
                 await measuring
             self._pool.shutdown(wait=False, cancel_futures=True)
+            if worker.done() and not (worker.cancelled() or worker.exception()):
+                with suppress(OSError):  # else the end waits for what it measures
+                    os.kill(worker.result(), signal.SIGTERM)
 
     async def _measure_shifts(self, pool: ProcessPoolExecutor) -> None:
         cost_s = 0.0
