@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +13,14 @@ from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.defects import NO_CHANCE, unequal_brightness
 from lensshift.core.errors import QualityWarning
 from lensshift.core.gaussian import MEDIAN_SIZE
-from lensshift.core.local_means import gaussian_around
+from lensshift.core.local_means import gaussian_around, mean_around
 from lensshift.core.types import Burst, Estimate, Frame
+from lensshift.forward.differences import image_slopes
 from lensshift.forward.least_squares import smooth_fit
 from lensshift.forward.operator import LinearOperator
+from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
 from lensshift.reconstruction.method import Request
-from lensshift.reconstruction.misfit import ESTIMATED
+from lensshift.reconstruction.misfit import ESTIMATED, LIMIT
 from lensshift.reconstruction.noise import robust_scale
 from lensshift.reconstruction.quantiles import ENOUGH, weighted_mad, weighted_median
 
@@ -188,19 +190,11 @@ def lights(burst: Burst, latest: int) -> Floats:
     other, which takes nothing but their shifts. Aliases and noise lie on both sides, what moved in
     a part of the frame on one. Less than half a frame says nothing.
     """
-    from scipy.ndimage import shift
-
-    away_px = burst.offset_px - burst.offset_px[latest]
-    seen = np.maximum(gaussian_around(burst.valid.astype(np.float64), LOW_PASS_PX), 1e-3)
-    smooth = gaussian_around(np.where(burst.valid, burst.amplitude, 0), LOW_PASS_PX) / seen
     times, surely = np.ones(burst.frame_count), False
-    for k, away in enumerate(away_px):
-        there = shift(burst.valid[k].astype(np.float64), -away, order=1)
-        used = burst.valid[latest] & (there > 1 - 1e-6)  # of what is between its pixels all four
-        if k == latest or 2 * np.sum(used) < max(np.sum(burst.valid[j]) for j in (k, latest)):
+    for k, now, then, used in _on_latest(burst, latest):
+        if 2 * np.sum(used) < max(np.sum(burst.valid[j]) for j in (k, latest)):
             continue
-        moved = shift(smooth[k], -away, mode="mirror")
-        found = _gain(smooth[latest][used], moved[used], 4 * math.pi * LOW_PASS_PX**2)
+        found = _gain(now[used], then[used], 4 * math.pi * LOW_PASS_PX**2)
         if found is None:
             continue
         far = (found.gain - 1) / 2, MOST_SIGMAS * found.spread
@@ -210,6 +204,43 @@ def lights(burst: Burst, latest: int) -> Floats:
         other = max(map(abs, sides)) < 1 - LIT and not found.level
         times[k], surely = found.times, surely or (other and not found.chance)
     return times if surely else np.ones(burst.frame_count)
+
+
+def differing(burst: Burst, latest: int, noise_sigma: float) -> Mask:
+    """Return where [frame row col] each frame shows something else than the latest one.
+
+        |G (y - y_k)|^2 > 4 (2 s^2 / (4 pi g^2) + (0.1 px G y')^2)
+
+    Over 3 x 3 pixels, slopes over 5 x 5; G is the low pass of `lights`, of width g. Aliases of
+    detail finer than pixels may differ as well.
+    """
+    from scipy.ndimage import shift
+
+    found = np.zeros(burst.valid.shape, np.bool_)
+    noise = noise_sigma**2 * (1 + np.iscomplexobj(burst.amplitude)) / (2 * math.pi * LOW_PASS_PX**2)
+    for k, now, then, used in _on_latest(burst, latest):
+        steep = sum(np.abs(slope) ** 2 for slope in image_slopes(now))
+        allowed = noise + ALLOWED_SHIFT_PX**2 * mean_around(np.asarray(steep), 5)
+        other = used & (mean_around(np.abs(now - then) ** 2, 3) > LIMIT * allowed)
+        away = burst.offset_px[k] - burst.offset_px[latest]
+        found[k] = shift(other.astype(np.float64), away, order=1, mode="nearest") > 0
+    return found
+
+
+def _on_latest(burst: Burst, latest: int) -> Iterator[tuple[int, Array, Array, Mask]]:
+    """Yield the number of each other frame, then behind a low pass the latest one, and that one.
+
+    Both [row col] as the latest lies, and where both are known.
+    """
+    from scipy.ndimage import shift
+
+    seen = np.maximum(gaussian_around(burst.valid.astype(np.float64), LOW_PASS_PX), 1e-3)
+    smooth = gaussian_around(np.where(burst.valid, burst.amplitude, 0), LOW_PASS_PX) / seen
+    for k, away in enumerate(burst.offset_px - burst.offset_px[latest]):
+        if k != latest:
+            there = shift(burst.valid[k].astype(np.float64), -away, order=1)
+            used = burst.valid[latest] & (there > 1 - 1e-6)  # of what lies between, all four
+            yield k, smooth[latest], shift(smooth[k], -away, mode="mirror"), used
 
 
 def in_one_light(

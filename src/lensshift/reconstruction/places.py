@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from lensshift.core.arrays import Mask
 from lensshift.core.local_means import mean_around
 from lensshift.core.types import Frame, Reconstruction, Status
 from lensshift.reconstruction.following import MOST_SIGMAS, Followed, View, views_of
@@ -35,12 +36,14 @@ class Known:
     frames : of which it was computed, by their places
     left : of places, what the picture leaves of their frames
     light : how many times as bright as the picture the frames now are
+    dimmed : by how much the noise of its frames may have been made less, with their light
     """
 
     followed: Followed
     frames: dict[int, Frame]
     left: dict[int, dict[str, View]] = field(default_factory=dict)
     light: float = 1.0
+    dimmed: float = 1.0
 
     @property
     def fits(self) -> bool:
@@ -48,13 +51,18 @@ class Known:
         channels = self.followed.solved.channels.values()
         return all(one.status is not Status.CONTRADICTED for one in channels)
 
+    @property
+    def noise_sigma(self) -> float:
+        """Noise of the light of a frame, or of a component of phasors; at most; 0: not known."""
+        light = self.followed.solved.amplitude
+        return ((light.noise_sigma if light is not None else None) or 0.0) / self.dimmed
+
     def beside(self, frame: Frame, at: int) -> tuple[Known, dict[str, View], float]:
         """Return it beside the light of a frame of a place, and what that is `against`.
 
         A frame that contradicts there may be of another place, and tells its light by that.
         """
-        light = self.followed.solved.amplitude
-        noise = (light.noise_sigma if light is not None else None) or 0.0
+        noise = self.noise_sigma * self.dimmed
         known = replace(self, light=light_since(frame, self.frames[at], noise))
         changed, share = known.against(frame, at)
         if share > RESTS and known.light == 1.0:
@@ -89,6 +97,21 @@ class Known:
         around = mean_around(squares / allowed, 3)
         inner = (slice(1, -1), slice(1, -1)) if min(around.shape) > 2 else (slice(None),) * 2
         return changed, float(np.mean(around[inner] > CONTRADICTS))
+
+    def moved(self, frame: Frame, at: int) -> Mask:
+        """Return where [row col] a frame is not that of its place before, of channels any.
+
+        By more than noise and the errors of shifts. What no picture explains is in both.
+        """
+        views = self._views(self.followed.found, frame, at, self.light)
+        moved = np.zeros(frame.valid.shape, np.bool_)
+        for name, before in self._left(at).items():
+            if name in views:
+                now, both = views[name], views[name].valid & before.valid
+                step = replace(now, rest=np.where(both, now.rest - before.rest, 0))
+                around = mean_around(step.squares / (2 * now.variance), 3)
+                moved |= around > CONTRADICTS / self.dimmed**2
+        return moved
 
     def nearest(self, frame: Frame, at: int) -> int:
         """Return the place that a frame is of, `at` unless all of its pixels together say another.

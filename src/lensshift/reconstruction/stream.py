@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Floats, Mask
 from lensshift.core.burst_checks import all_valid
 from lensshift.core.defects import blank_frames
 from lensshift.core.errors import QualityWarning
@@ -20,7 +20,7 @@ from lensshift.reconstruction.method import Method
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import one_of
 from lensshift.reconstruction.phasor.choice import UNTOLD
-from lensshift.reconstruction.photometry import lights
+from lensshift.reconstruction.photometry import differing, lights
 from lensshift.reconstruction.places import BETTER_PLACE, MOST, RESTS, Claim, Known
 from lensshift.reconstruction.reconstruct import reconstruct
 
@@ -47,6 +47,8 @@ class Stream:
         self._event: str | None = None
         self._rests = True
         self._claim: Claim | None = None
+        self._moved: dict[int, Mask] = {}  # where frames were not those of their places before
+        self._partial = False  # whether some frames were left out of some pixels of the picture
 
     @property
     def window(self) -> Burst:
@@ -59,7 +61,8 @@ class Stream:
         ValueError
             Before the first frame.
         """
-        return self._in_one_light()[0]
+        whole = self._in_one_light()[0]
+        return self._of_now(whole) if self._partial else whole
 
     @property
     def frames(self) -> tuple[int, ...]:
@@ -110,7 +113,7 @@ class Stream:
         at, event, rests = self._placed(one, place, shows)
         if event == "scene changed":
             self._frames.clear()
-            self._known = None
+            self._known, self._moved = None, {}
             if self._claim is not None:  # what it placed elsewhere is of after the change
                 self._frames.update(self._claim.frames)
         if event == "scene changed" or place is not None or not shows:
@@ -135,7 +138,7 @@ class Stream:
         """
         round_ends = self._since_refined + 1 >= REFINED_ROUNDS * self._template.frame_count
         # Until all frames are of after something moved, or it was not that.
-        settled = not 0 < self._contradicted < self._template.frame_count
+        settled = not 0 < self._contradicted < self._template.frame_count and not self._partial
         live = self._rests and settled and self._pace != "refined" and not refined
         live = live and not (self._pace == "auto" and round_ends)
         if live and self._known is not None:
@@ -146,9 +149,10 @@ class Stream:
             before = self._believed() if rests else None
             self._since_asked = 0 if before is None else self._since_asked + 1
             window, times = self._in_one_light()
-            found = reconstruct(window, self._scale, streamed=before or True, **self._settings)
+            found = self._solved(window, before)
             wrong = any("contradiction" in one.notes for one in found.channels.values())
-            self._known = Known(Followed(found, found), self._lit(times))
+            dimmed = min(1.0, float(times.min()))
+            self._known = Known(Followed(found, found), self._lit(times), dimmed=dimmed)
             self._contradicted = self._contradicted + 1 if wrong else 0
             self._since_refined, live = 0, False
         event, self._event, self._rests = self._event, None, True
@@ -167,6 +171,36 @@ class Stream:
         if np.any(times != 1):  # else their numbers stay what they are
             window = replace(window, amplitude=window.amplitude * times[:, None, None])
         return window, times
+
+    def _solved(self, window: Burst, before: Reconstruction | None) -> Reconstruction:
+        """Return the picture of frames, which are left out where they are of before a movement."""
+        part = self._of_now(window)
+        self._partial = part is not window
+        if self._partial:
+            rows, cols = np.nonzero(np.any(window.valid & ~part.valid, axis=0))
+            where = f"rows {rows.min()} .. {rows.max()}, columns {cols.min()} .. {cols.max()}"
+            self._warn(f"something moved at {where}: there the picture is of the frames since")
+        return reconstruct(part, self._scale, streamed=before or True, **self._settings)
+
+    def _of_now(self, window: Burst) -> Burst:
+        """Return the frames without what has moved since they were taken."""
+        noise = 0.0 if self._known is None else self._known.noise_sigma
+        if not (self._moved and noise):
+            return window
+        old = differing(window, sorted(self._frames).index(self.frames[-1]), noise)
+        old &= np.any([*self._moved.values()], axis=0)
+        return replace(window, valid=window.valid & ~old) if old.any() else window
+
+    def _note_moved(self, frame: Frame, at: int, share: float) -> None:
+        """Take note of where a frame is not that of its place before; a round later it is."""
+        if self._known is None or (share <= RESTS and not self._moved):
+            return
+        moved = self._known.moved(frame, at)
+        if len(self._moved) == self._template.frame_count:
+            over = np.all([*self._moved.values()], axis=0) & ~moved
+            self._moved = {k: one & ~over for k, one in self._moved.items()}
+        self._moved[at] = moved
+        self._moved = {k: one for k, one in self._moved.items() if one.any()}
 
     def _lit(self, times: Floats) -> dict[int, Frame]:
         """Return the frames so many times as bright, of which the user is told."""
@@ -219,6 +253,7 @@ class Stream:
             return at, "frames lost", False
         known = self._known
         if known is None or at not in self._frames or at not in known.frames:
+            self._moved.pop(at, None)
             return at, None, False  # what nobody saw may be anything
         known, changed, share = known.beside(frame, at)
         self._known = known
@@ -231,6 +266,7 @@ class Stream:
         asked = place is None and len(known.frames) == count > 1
         best = known.nearest(frame, at) if asked and known.fits else at
         if best == at and share <= RESTS:
+            self._note_moved(frame, at, share)
             if self._pace != "refined":
                 self._known = replace(known, followed=known.followed.by(changed))
             return at, None, True
@@ -251,6 +287,7 @@ class Stream:
         if share > MOST:
             self._warn("the scene changed: what was seen before is left out")
             return at, "scene changed", False
+        self._note_moved(frame, at, share)
         return at, None, False
 
     def _warn(self, text: str) -> None:
