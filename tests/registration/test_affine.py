@@ -13,7 +13,14 @@ from lensshift.core.errors import DataError, QualityWarning
 from lensshift.io.export import export_burst
 from lensshift.reconstruction.glance import glance
 from lensshift.reconstruction.shift_check import doubtful_shifts
-from lensshift.registration.affine import affine_motion, corner_px, turning, turns_of
+from lensshift.registration import picture
+from lensshift.registration.affine import (
+    LEAST_CORNER_PX,
+    affine_motion,
+    corner_px,
+    turning,
+    turns_of,
+)
 
 FINE = 6
 SHAPE = (29, 36)
@@ -134,6 +141,18 @@ def test_noise_turns_no_frame(seed: int) -> None:
     frames = still + other + rng.normal(scale=0.2, size=still.shape)
     start_px = offset_px + rng.normal(scale=0.05, size=offset_px.shape)
     assert turning(frames, np.ones(frames.shape, np.bool_), start_px - start_px[0]) is None
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_noise_is_not_searched_for_turns(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It seems to turn corners by 0.1 px and more, and led a search through all its rounds."""
+    offset_px, _ = motion(4, seed, 0.0)
+    frames = taken(offset_px, np.zeros((4, 2, 2)), 5.0, seed)
+    valid = np.ones(frames.shape, np.bool_)
+    first, _ = picture.step_from(frames, valid, offset_px, terms=3)
+    assert np.abs((first - first[0])[..., 1:]).sum(axis=2).max() > LEAST_CORNER_PX
+    monkeypatch.delattr(picture, "alternate")
+    assert turning(frames, valid, offset_px) is None
 
 
 @pytest.mark.parametrize("seed", [12, 13])

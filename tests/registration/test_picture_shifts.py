@@ -51,6 +51,22 @@ def noisy(frames: Frames, sigma: float, seed: int) -> Frames:
     return frames + np.random.default_rng(seed).normal(scale=sigma, size=frames.shape)
 
 
+@pytest.mark.parametrize("seed", [12, 13])
+def test_errors_of_four_large_noisy_frames_are_no_larger_than_they_are(seed: int) -> None:
+    """A picture that is soft keeps the noise: it lay ten times its error beside the truth."""
+    true_px = offsets(4, seed)
+    frames = sampled(waves, true_px, (96, 112))
+    frames = noisy(frames, 0.25 * frames.std(), seed)
+    valid = np.ones(frames.shape, np.bool_)
+    found = picture_shifts(frames, valid, true_px)
+    told_px = np.sqrt(np.mean(found.sigma_px[1:] ** 2))
+    assert np.std(found.offset_px - true_px) < 2.0 * told_px
+    burst = register(Burst.from_arrays(frames, offset_px=0 * true_px, pitch_mm=0.1))
+    assert burst.offset_sigma_px is not None
+    error_px = (burst.offset_px - true_px)[1:]
+    assert np.sqrt(np.mean(burst.offset_sigma_px[1:] ** 2)) < 3.0 * np.sqrt(np.mean(error_px**2))
+
+
 @pytest.mark.parametrize("seed", [3, 4])
 def test_errors_hold_on_line_pairs_which_no_spectrum_describes(seed: int) -> None:
     true_px = offsets(9, seed)

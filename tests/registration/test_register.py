@@ -15,7 +15,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.registration import blocks, likely_shifts, phase_correlation, register
 from lensshift.registration.blocks import blocks_of, likely_where_telling, scatter_over_blocks
-from lensshift.registration.likelihood import ShiftFit, with_given
+from lensshift.registration.likelihood import ShiftFit, likely_steps, with_given
 from lensshift.scene import four_boxes, siemens_star_card
 
 OFFSETS = np.array([[0.0, 0.0], [0.31, -0.42], [-1.27, 0.66], [2.4, 3.1], [-0.2, 0.9]])
@@ -109,6 +109,23 @@ def test_parts_say_what_the_whole_errs_by() -> None:
     # Of normal parts: sum of weight^2 (d - mean)^2, of variance s^2 (1 - 2 w + sum of w^2).
     expected = 4 / 3 * 0.3**2 * np.sum(weight**2 * (1 - 2 * weight + np.sum(weight**2)))
     np.testing.assert_allclose(np.mean(told), expected, rtol=0.1)
+
+
+@pytest.mark.parametrize("photometric", [False, True])
+def test_parts_step_to_where_a_search_of_each_ends(photometric: bool) -> None:
+    offset_px = np.array([[0.0, 0.0], [0.3, -0.2], [-0.4, 0.1], [0.2, 0.45]])
+    frames = waves(offset_px, (40, 52))
+    frames += 0.1 * np.std(frames) * np.random.default_rng(7).standard_normal(frames.shape)
+    valid = np.random.default_rng(8).random(frames.shape) > 0.02
+    told = {"reference": 1, "photometric": photometric}
+    whole = likely_shifts(frames, valid, offset_px, **told)
+    parts = [(rows, cols) for rows in (np.s_[:20], np.s_[20:]) for cols in (np.s_[:26], np.s_[26:])]
+    steps = likely_steps(frames, valid, whole, parts, **told)
+    for part, (step_px, sigma_px) in zip(parts, steps, strict=True):
+        alone = likely_shifts(frames[:, *part], valid[:, *part], whole.offset_px, **told)
+        moved_px = alone.offset_px - whole.offset_px
+        assert np.all(np.abs(step_px - moved_px) <= 0.3 * alone.sigma_px)
+        np.testing.assert_allclose(sigma_px, alone.sigma_px, rtol=0.25)
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])

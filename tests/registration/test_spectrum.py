@@ -24,11 +24,11 @@ def test_the_fit_comes_to_the_law_that_spectra_were_drawn_from(exponent: float, 
     noise = np.sqrt(true.noise_power) * white((len(scene), frames))
     spectra = np.conj(steering.back) * (scene @ steering.alias) + noise
 
-    found, step = first_spectrum(at, spectra), np.inf
+    found, step = first_spectrum(at, spectra, steering), np.inf
     for _ in range(MOST_STEPS):
         if step < 1e-3:
             break
-        found, step = found.scored(spectra, steering, whole=True)
+        found, step, *_ = found.learned(spectra, steering, whole=True)
     assert step < 1e-3
     # Some 2000 numbers tell the noise to a few hundredths, and the law as well.
     assert found.log_noise == pytest.approx(true.log_noise, abs=0.1)

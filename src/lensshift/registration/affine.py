@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import chdtri, stdtrit
 
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.registration import picture
@@ -93,8 +93,10 @@ def turning(frames: Array, valid: Mask, offset_px: Shifts, reference: int = 0) -
     while min(seen.shape[1:]) >= 2 * COARSE_PX:
         (seen, known), px = _halved(seen, known), px / 2
     size = frames.shape[1] / seen.shape[1]
-    first = picture.step_from(seen, known, px, terms=3)
-    if size * np.abs((first - first[reference])[..., 1:]).sum(axis=2).max() < LEAST_CORNER_PX:
+    first, own = picture.step_from(seen, known, px, terms=3)
+    away = (first - first[reference])[..., 1:]
+    corner = size * np.abs(away).sum(axis=2).max()
+    if corner < LEAST_CORNER_PX or _by_chance(away, own + own[reference], reference):
         return None
     shifted = picture.alternate(seen, known, px[..., None], reference)
     turned = picture.alternate(seen, known, np.pad(shifted.place_px, _NO_TURN), reference, ROUNDS)
@@ -107,6 +109,18 @@ def turning(frames: Array, valid: Mask, offset_px: Shifts, reference: int = 0) -
         return None
     found = affine_motion(frames, valid, offset_px, reference=reference)
     return found if corner_px(found.affine, frames.shape[1:]) > LEAST_CORNER_PX else None
+
+
+def _by_chance(away: Floats, own: Floats, reference: int) -> bool:
+    """Return whether noise alone makes frames seem to turn so [frame 2 2] often enough.
+
+    Then a search would follow it for long.
+    """
+    turn = np.delete(away.reshape(-1, 4), reference, axis=0)
+    terms = [1, 2, 4, 5]  # of (row, col) by (1, row, col)
+    spread = np.delete(own, reference, axis=0)[:, terms][:, :, terms]
+    square = np.einsum("ki,kij,kj->", turn, np.linalg.pinv(spread, hermitian=True), turn)
+    return bool(square < chdtri(turn.size, CHANCE))
 
 
 def _quarter_errors(frames: Array, valid: Mask, fit: picture.Fit) -> Floats:

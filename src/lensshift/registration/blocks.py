@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 
 import numpy as np
@@ -12,7 +11,12 @@ from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.core.threads import bands
-from lensshift.registration.likelihood import UNKNOWN_PX, ShiftFit, likely_shifts
+from lensshift.registration.likelihood import (
+    UNKNOWN_PX,
+    ShiftFit,
+    likely_shifts,
+    likely_steps,
+)
 
 # Frames and validity of a part of the sensor -> offsets and their standard errors.
 Estimate = Callable[[Array, Mask], tuple[Shifts, Shifts]]
@@ -57,7 +61,26 @@ class Scatter:
 def scatter_over_blocks(
     estimate: Estimate, frames: Array, valid: Mask, offset_px: Shifts
 ) -> Scatter:
-    """Return how the parts of the sensor scatter about the whole.
+    """Return how the parts of the sensor scatter about the whole, each asked on its own."""
+    return scatter_of(
+        [(found_px - offset_px, sigma_px)
+         for rows, cols in _seen_blocks(valid)
+         for found_px, sigma_px in [estimate(frames[:, rows, cols], valid[:, rows, cols])]],
+        offset_px.size,
+    )  # fmt: skip
+
+
+def _seen_blocks(valid: Mask) -> list[tuple[slice, slice]]:
+    """Return the parts of the sensor of which all frames show enough."""
+    return [
+        block
+        for block in blocks_of(valid.shape[1:])
+        if valid[:, *block].mean(axis=(1, 2)).min() >= LEAST_VALID
+    ]
+
+
+def scatter_of(parts: list[tuple[Shifts, Shifts]], size: int) -> Scatter:
+    """Return how parts scatter about the whole, from their distance to it and standard errors.
 
         factor^2 = n / (n - 1) mean over blocks, frames, axes of ((d_block - d) / sigma_block)^2
         covariance = n / (n - 1) sum over blocks of g g^T,   g = w (d_block - d) / sum of w
@@ -69,24 +92,20 @@ def scatter_over_blocks(
     Source of the covariance: Liang and Zeger (1986), each part a cluster.
     """
     away_px, weight = [], []
-    for rows, cols in blocks_of(frames.shape[1:]):
-        part = valid[:, rows, cols]
-        if part.mean(axis=(1, 2)).min() < LEAST_VALID:
-            continue
-        found_px, sigma_px = estimate(frames[:, rows, cols], part)
+    for found_px, sigma_px in parts:
         known = (sigma_px > 0) & (sigma_px < 0.2)
         if np.any(known):
-            away_px.append((found_px - offset_px).ravel())
+            away_px.append(found_px.ravel())
             weight.append(np.where(known, sigma_px, np.inf).ravel() ** -2)
     blocks = len(weight)
     if blocks < 2:
-        return Scatter(1.0, np.zeros((offset_px.size, offset_px.size)))
+        return Scatter(1.0, np.zeros((size, size)))
     away, w = np.array(away_px), np.array(weight)
-    size = blocks / (blocks - 1)
+    usual = blocks / (blocks - 1)
     mean = float(np.mean((w * away**2)[w > 0]))
     part_px = w * away / np.maximum(w.sum(axis=0), 1e-300)
-    factor = max(1.0, float(np.sqrt(mean * size)))
-    return Scatter(factor, np.asarray(size * part_px.T @ part_px))
+    factor = max(1.0, float(np.sqrt(mean * usual)))
+    return Scatter(factor, np.asarray(usual * part_px.T @ part_px))
 
 
 def telling_part(
@@ -168,14 +187,18 @@ def scatter_of_parts(
     """
     if np.any(fit.sigma_px > UNKNOWN_PX):
         return None
-    span_px = np.ceil(np.ptp(fit.offset_px, axis=0)).astype(int)
     part = telling_part(frames, valid, fit.offset_px, MOST_PX)
-    run = partial(likely_shifts, reference=reference, photometric=photometric)
-
-    def estimate(block: Array, block_valid: Mask) -> tuple[Shifts, Shifts]:
-        if np.any(np.array(block.shape[1:]) - span_px < LEAST_BLOCK_PX // 2):
-            return fit.offset_px, np.zeros_like(fit.offset_px)  # which is left out
-        found = run(block, block_valid, fit.offset_px)
-        return found.offset_px, found.sigma_px
-
-    return scatter_over_blocks(estimate, frames[part], valid[part], fit.offset_px)
+    frames, valid = frames[part], valid[part]
+    blocks = _seen_blocks(valid)
+    least = [min((block[axis].stop - block[axis].start for block in blocks), default=0)
+             for axis in (0, 1)]  # fmt: skip
+    span_px = np.ceil(np.ptp(fit.offset_px, axis=0))
+    steps = []
+    if np.all(np.array(least) - span_px >= LEAST_BLOCK_PX // 2):
+        height, width = least
+        alike = [(slice(rows.start, rows.start + height), slice(cols.start, cols.start + width))
+                 for rows, cols in blocks]  # fmt: skip
+        steps = likely_steps(
+            frames, valid, fit, alike, reference=reference, photometric=photometric
+        )
+    return scatter_of(steps, fit.offset_px.size)

@@ -74,6 +74,16 @@ def inverse(information: Square) -> Square:
     return np.asarray(np.linalg.pinv(information, rcond=1e-9, hermitian=True))
 
 
+def newton(
+    score: Floats, information: Square, curvature: Curvature | None, kinds: int
+) -> tuple[Floats, Square]:
+    """Return the step of the parameters that a score asks for, and their covariance."""
+    if curvature is None:
+        spread = inverse(information)
+        return spread @ score, spread
+    return curvature.step(information, kinds) @ score, curvature.covariance(information, kinds)
+
+
 def _of_each(block: Square, information: Square, kinds: int) -> Square:
     """Return the matrix that treats the shift of each frame alike and leaves its gain."""
     whole = np.eye(kinds)

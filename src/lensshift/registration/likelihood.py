@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations_with_replacement
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
-from lensshift.registration.curvature import LEAST_SHARE, Curvature, inverse
-from lensshift.registration.spectrum import Frequencies, Spectrum, Steering, first_spectrum
+from lensshift.registration.curvature import LEAST_SHARE, Curvature, newton
+from lensshift.registration.score import Score, State
+from lensshift.registration.spectrum import Frequencies, first_spectrum
 from lensshift.registration.taper import Tapered, quiet_flank_px, share_enough, taper_frames
 
 _LARGEST_LOG = 7.0  # of a gain, a thousand times: frames without contrast have any
 MAX_STEP_PX = 0.2  # the likelihood is a parabola nearby only
 CONVERGED_PX, CONVERGED_SIGMAS = 1e-3, 0.03
-_SPECTRUM_PASSES = 6  # for the first spectrum; later ones begin at the last
 # The image power is freed from the power law in this many rounds, once the shifts are near.
 _FREE_ROUNDS = 6
 _FREE_BELOW_PX, _FREE_BELOW_SIGMAS = 0.02, 1.0
@@ -25,8 +25,6 @@ _FREE_BELOW_PX, _FREE_BELOW_SIGMAS = 0.02, 1.0
 USUAL_SHIFT_PX = 2.0
 # A shift that is known to a pixel is not known.
 UNKNOWN_PX = 1.0
-# For differences of the score.
-_STEP_PX = 0.02
 # A search that starts off by a quarter of the finest period in the model returns to within 3 % of
 # that where a shift is known (from farther it ends in other maxima), of 35 frames at times from one
 # side only; along an edge it stays on both (at half and more, 80 searches of 3x3 and 4x4). Where
@@ -72,20 +70,6 @@ def against_reference(own: Array, reference: int) -> Floats:
         covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += own[k]
     covariance[at] = covariance[:, at] = 0.0
     return covariance
-
-
-@dataclass(slots=True)
-class _State:
-    """Where the search stands."""
-
-    offset_px: Shifts
-    log_gain: Floats
-    spectrum: Spectrum
-
-    @property
-    def steering(self) -> Steering:
-        """What the frames see of each frequency and its aliases."""
-        return self.spectrum.frequencies.steering(self.offset_px, np.exp(self.log_gain))
 
 
 def likely_shifts(
@@ -154,27 +138,24 @@ def _search(
     And the share of the information that is left where least is, and the direction [2] in which
     the frames have least detail.
     """
-    frequencies = Frequencies.of(frames.shape, whole_plane=frames.dtype.kind == "c")
+    at = Frequencies.of(frames.shape, whole_plane=frames.dtype.kind == "c")
     flank_px = quiet_flank_px(frames, valid, start_px, own_mean=photometric)
     taper = partial(taper_frames, frames, valid, own_mean=photometric, flank_px=flank_px)
     tapered = taper(start_px)
-    state = _State(
-        start_px.copy(), np.zeros(len(frames)), first_spectrum(frequencies, tapered.spectra)
-    )
+    state = _first(at, tapered.spectra, start_px, np.ones(len(frames)))
     kinds = 3 if photometric else 2
-    free = np.setdiff1d(np.arange(kinds * len(frames)), kinds * reference + np.arange(kinds))
+    free = _free(len(frames), kinds, reference)
     freed, converged, lost, step = 0, False, False, np.zeros((len(frames), kinds))
     curvature: Curvature | None = None
     damping = 1.0
-    for iteration in range(max_iterations):
+    for _ in range(max_iterations):
         tapered = taper(state.offset_px, expected=tapered.expected)
-        passes = _SPECTRUM_PASSES if iteration == 0 else 1
-        _fit_spectrum(state, tapered, passes, whole=freed == 0)
-        score, information = _score(state, tapered, kinds)
+        now = state.score(tapered.spectra, kinds, whole=freed == 0)
+        state.spectrum = now.learned.spectrum
         if freed == _FREE_ROUNDS and curvature is None:
-            curvature = _curvature(taper, state, tapered, kinds, reference)
+            curvature = _bent(taper, state, tapered, now, reference)
         before, step = step, np.zeros((len(frames), kinds))
-        change, spread = _newton(score[free], information[np.ix_(free, free)], curvature, kinds)
+        change, spread = newton(*now.of(0, free), curvature, kinds)
         step.ravel()[free] = change
         largest_px = float(np.abs(step[:, :2]).max())
         # Where the frames say little, a step means little.
@@ -191,20 +172,91 @@ def _search(
         if photometric:
             state.log_gain = np.clip(state.log_gain + step[:, 2], -_LARGEST_LOG, _LARGEST_LOG)
         if freed < _FREE_ROUNDS and (largest_px < _FREE_BELOW_PX or told < _FREE_BELOW_SIGMAS):
-            state.spectrum = state.spectrum.freed(tapered.spectra, state.steering)
+            state.spectrum = state.spectrum.freed(now.learned.power)
             freed += 1
         elif largest_px < CONVERGED_PX or told < CONVERGED_SIGMAS:
             converged = True
             break
         if not valid.all():
-            tapered = tapered.with_expected(state.spectrum, state.steering)
+            tapered = tapered.with_expected(now.learned.expected)
     if curvature is None:
-        curvature = _curvature(taper, state, tapered, kinds, reference)
-        _, spread = _newton(score[free], information[np.ix_(free, free)], curvature, kinds)
-    if lost:
-        spread = spread + _BLIND_PX**2 * np.eye(len(spread))
+        curvature = _bent(taper, state, tapered, now, reference)
+        _, spread = newton(*now.of(0, free), curvature, kinds)
+    spread = spread + lost * _BLIND_PX**2 * np.eye(len(spread))
     fit = _fit_of(state, spread * tapered.inflation, reference, converged=converged)
-    return fit, curvature.least_share, _least_detail(tapered, frequencies)
+    return fit, curvature.least_share, _least_detail(tapered, at)
+
+
+def _bent(
+    taper: Callable[..., Tapered], state: State, tapered: Tapered, now: Score, reference: int
+) -> Curvature:
+    def seen(offset_px: Shifts) -> Array:
+        return taper(offset_px, expected=tapered.expected).spectra
+
+    return state.curvatures(tapered.spectra, seen, now.information, reference)[0]
+
+
+def _first(at: Frequencies, spectra: Array, offset_px: Shifts, gain: Floats) -> State:
+    """Return where a search begins."""
+    spectrum = first_spectrum(at, spectra, at.steering(offset_px, gain))
+    return State(offset_px.copy(), np.log(gain), spectrum)
+
+
+def _free(count: int, kinds: int, reference: int) -> NDArray[np.intp]:
+    """Return the numbers of the parameters of all frames but the reference."""
+    return np.delete(np.arange(kinds * count), kinds * reference + np.arange(kinds))
+
+
+def likely_steps(
+    frames: Array,
+    valid: Mask,
+    fit: ShiftFit,
+    parts: list[tuple[slice, slice]],
+    *,
+    reference: int,
+    photometric: bool,
+) -> list[tuple[Shifts, Shifts]]:
+    """Return how far from a fit of the whole parts of the sensor take the frames to lie.
+
+    Each part, all of one size, with its own spectrum, freed at the shifts of the whole, and one
+    step of Newton from these: beside them the likelihood is a parabola. Steps and standard errors
+    [frame 2] of each.
+    """
+    count, kinds = len(frames), 3 if photometric else 2
+    tapers = []
+    for rows, cols in parts:
+        part = frames[:, rows, cols], valid[:, rows, cols]
+        flank_px = quiet_flank_px(*part, fit.offset_px, own_mean=photometric)
+        tapers.append(partial(taper_frames, *part, own_mean=photometric, flank_px=flank_px))
+    tapered = [taper(fit.offset_px) for taper in tapers]
+
+    def seen(offset_px: Shifts) -> Array:
+        return np.concatenate([
+            taper(offset_px, expected=at.expected).spectra
+            for taper, at in zip(tapers, tapered, strict=True)
+        ])  # fmt: skip
+
+    shape = (count, *tapered[0].window.shape[1:])
+    at = Frequencies.of(shape, whole_plane=frames.dtype.kind == "c", sets=len(parts))
+    y = np.concatenate([one.spectra for one in tapered])
+    state = _first(at, y, fit.offset_px, fit.gain)
+    for _ in range(_FREE_ROUNDS):
+        learned = state.spectrum.learned(y, state.steering, whole=False)
+        state.spectrum = learned.spectrum.freed(learned.power)
+        if not valid.all():
+            each = np.split(learned.expected, len(parts))
+            tapered = [one.with_expected(of) for one, of in zip(tapered, each, strict=True)]
+            y = seen(fit.offset_px)
+    now = state.score(y, kinds, whole=False)
+    bent = state.curvatures(y, seen, now.information, reference)
+    free = _free(count, kinds, reference)
+    found = []
+    for number, (curvature, one) in enumerate(zip(bent, tapered, strict=True)):
+        step = np.zeros((count, kinds))
+        step.ravel()[free], spread = newton(*now.of(number, free), curvature, kinds)
+        own = _fit_of(state, spread * one.inflation, reference, converged=True)
+        found.append((step[:, :2], own.sigma_px))
+    return found
 
 
 def _least_detail(tapered: Tapered, at: Frequencies) -> Floats:
@@ -230,7 +282,7 @@ def with_given(fit: ShiftFit, given_px: Shifts, sigma_px: Shifts | None, *, said
     )
 
 
-def _fit_of(state: _State, spread: Array, reference: int, *, converged: bool) -> ShiftFit:
+def _fit_of(state: State, spread: Array, reference: int, *, converged: bool) -> ShiftFit:
     """Return the shifts, with the covariance of the parameters of all frames but the reference."""
     count = len(state.offset_px)
     kinds = len(spread) // (count - 1)
@@ -240,107 +292,5 @@ def _fit_of(state: _State, spread: Array, reference: int, *, converged: bool) ->
     covariance[np.ix_(places, places)] = spread[np.ix_(shifts, shifts)]
     return ShiftFit(
         offset_px=state.offset_px, covariance_px2=covariance, gain=np.exp(state.log_gain),
-        noise_sigma=float(np.sqrt(state.spectrum.noise_power)), converged=converged,
+        noise_sigma=float(np.sqrt(state.spectrum.noise_power[0])), converged=converged,
     )  # fmt: skip
-
-
-def _newton(
-    score: Array, information: Array, curvature: Curvature | None, kinds: int
-) -> tuple[Array, Array]:
-    """Return the step of the parameters that a score asks for, and their covariance."""
-    if curvature is None:
-        spread = inverse(information)
-        return spread @ score, spread
-    return curvature.step(information, kinds) @ score, curvature.covariance(information, kinds)
-
-
-def _curvature(
-    taper: Callable[..., Tapered], state: _State, tapered: Tapered, kinds: int, at: int
-) -> Curvature:
-    """Return the curvature by a common shift of all frames but the reference, number `at`."""
-    count = len(state.offset_px)
-    others = np.tile(np.eye(kinds, 2), (count, 1, 1))
-    others[at] = 0.0
-    together = others.reshape(-1, 2)
-    information = _score(state, tapered, kinds)[1]
-    offset_px = state.offset_px
-    bent = np.empty((2, 2, 2))
-    for axis in (0, 1):
-        scores = []
-        for sign in (-1.0, 1.0):
-            state.offset_px = offset_px + sign * _STEP_PX * others[:, :2, axis]
-            moved = taper(state.offset_px, expected=tapered.expected)
-            scores.append(_gradients(state, (tapered, moved), kinds) @ together)
-        bent[..., axis] = (scores[0] - scores[1]) / (2.0 * _STEP_PX)
-    state.offset_px = offset_px
-    return Curvature(together.T @ information @ together, *bent)
-
-
-def _fit_spectrum(state: _State, tapered: Tapered, passes: int, *, whole: bool) -> None:
-    """Fit level, exponent and noise of the spectrum; only the noise once it has been freed."""
-    steering = state.steering
-    for _ in range(passes):
-        state.spectrum, step = state.spectrum.scored(tapered.spectra, steering, whole=whole)
-        if step < 0.02:
-            break
-
-
-def _turned(state: _State, kinds: int) -> Array:
-    """Return the power of each alias times what a parameter multiplies it with, [kind f alias].
-
-    dS / dp = e_k v^T + conj(v) e_k^T touches one row and one column of S only: v is row k of
-    D = sum P q b b^H,   q = -2 pi i (f + m) for a shift, 1 for the log gain; here without -2 pi i.
-    """
-    at = state.spectrum.frequencies
-    return state.spectrum.power * np.stack([at.down, at.right, np.ones_like(at.down)][:kinds])
-
-
-def _slopes(turned: Array, part: slice, steering: Steering) -> Array:
-    """Return D [kind frequency frame frame] of a part of the frequencies."""
-    slopes = steering.summed(turned[:, part])
-    slopes[:2] *= -2j * np.pi
-    return slopes
-
-
-def _gradients(state: _State, tapered: tuple[Tapered, ...], kinds: int) -> Array:
-    """Return the gradient [taper parameter] of the log likelihood alone, for several tapers."""
-    steering, turned = state.steering, _turned(state, kinds)
-    found = np.zeros((len(tapered), len(state.offset_px), kinds))
-    spectra = [steering.back * one.spectra for one in tapered]
-    for part, inverted, _, _ in state.spectrum.inverted(tapered[0].spectra, steering):
-        slopes = _slopes(turned, part, steering)
-        weight = 2.0 * state.spectrum.frequencies.weight[part]
-        own = np.einsum("afkl,flk->afk", slopes, inverted)
-        for number, y in enumerate(spectra):
-            seen = (inverted @ y[part][..., None])[..., 0]
-            slope = np.conj(seen) * (slopes @ seen[..., None])[..., 0]
-            found[number] += np.einsum("f,afk->ka", weight, np.real(slope - own))
-    return found.reshape(len(tapered), -1)
-
-
-def _score(state: _State, tapered: Tapered, kinds: int) -> tuple[Array, Array]:
-    """Return the gradient of the log likelihood by the shifts and its Fisher information.
-
-    With W = S^-1 and E = D W, of frames k, l and kinds a, b
-
-        information = 2 Re sum over f of  E_a[k l] E_b[l k] + (E_a D_b^H)[k l] W[l k]
-    """
-    count = len(state.offset_px)
-    steering, turned = state.steering, _turned(state, kinds)
-    score, information = np.zeros((count, kinds)), np.zeros((count, kinds, count, kinds))
-    for part, inverted, _, seen in state.spectrum.inverted(tapered.spectra, steering):
-        slopes = _slopes(turned, part, steering)
-        whitened = slopes @ inverted
-        slope = np.conj(seen) * (slopes @ seen[..., None])[..., 0]
-        weight = 2.0 * state.spectrum.frequencies.weight[part]
-        own = np.diagonal(whitened, axis1=2, axis2=3)
-        score += np.einsum("f,afk->ka", weight, np.real(slope - own))
-        back = np.swapaxes(inverted, 1, 2)
-        for a, b in combinations_with_replacement(range(kinds), 2):
-            shared = whitened[a] * np.swapaxes(whitened[b], 1, 2)
-            shared += (whitened[a] @ np.conj(np.swapaxes(slopes[b], 1, 2))) * back
-            information[:, a, :, b] += np.tensordot(weight, np.real(shared), 1)
-    for a, b in combinations_with_replacement(range(kinds), 2):
-        information[:, b, :, a] = information[:, a, :, b].T
-    square = information.reshape(kinds * count, kinds * count)
-    return score.ravel(), 0.5 * (square + square.T)

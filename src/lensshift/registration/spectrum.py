@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +18,7 @@ _FURTHEST_ALIAS = 3  # of sharp edges behind half-filled pixels 1e-5 of the powe
 # The freed power leans towards the power law as if it had seen that many bins of it.
 _LEANING_BINS = 0.3
 _LEAST_FREEDOM = 1e-6  # so that roots and logarithms exist
+_PASSES, _SMALL_STEP = 5, 0.02  # of the first power law, which goes on to change later
 _NEIGHBOURS = 3  # bins along each axis that are averaged
 # Of the power of the scene, which may be 10^18 times the noise at the lowest frequencies of large
 # smooth frames: with less on the diagonal no inverse is known.
@@ -23,7 +26,7 @@ _ROUNDING = 1e-13
 _NUMBERS_AT_ONCE = 200_000  # a few MB at a time, which stay in the cache
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Frequencies:
     """The frequencies of a transform without f = 0, and the aliases that fall on each."""
 
@@ -34,10 +37,11 @@ class Frequencies:
     weight: Floats  # [frequency] 1, or 1/2 where a real image counts a frequency twice
     whole_plane: bool  # whether the frames are complex
     reach: int  # the largest alias along an axis
+    sets: int = 1  # of frames, whose frequencies come one set after another
 
     @classmethod
-    def of(cls, shape: tuple[int, ...], *, whole_plane: bool) -> Frequencies:
-        """Return those of frames [frame row col].
+    def of(cls, shape: tuple[int, ...], *, whole_plane: bool, sets: int = 1) -> Frequencies:
+        """Return those of frames [frame row col], or of several sets of such frames.
 
         K frames sample root K times as finely along an axis, and tell aliases apart up to half of
         that.
@@ -58,12 +62,22 @@ class Frequencies:
         count = alias.size**2
         return cls(
             (rows, cols),
-            row_at.reshape(-1, count)[1:],
-            col_at.reshape(-1, count)[1:],
-            weight.ravel()[1:],
+            np.tile(row_at.reshape(-1, count)[1:], (sets, 1)),
+            np.tile(col_at.reshape(-1, count)[1:], (sets, 1)),
+            np.tile(weight.ravel()[1:], sets),
             whole_plane,
             reach,
+            sets,
         )
+
+    @cached_property
+    def of_set(self) -> Floats:
+        """Weight [set frequency], 0 at frequencies of other sets."""
+        return np.kron(np.eye(self.sets), np.ones(len(self.weight) // self.sets)) * self.weight
+
+    def each(self, values: Floats | float) -> Floats:
+        """Return values [set] at every frequency."""
+        return np.repeat(values, len(self.weight) // self.sets)
 
     @property
     def own(self) -> Floats:
@@ -87,22 +101,28 @@ class Frequencies:
             np.exp(2j * np.pi * (base @ offset_px.T)), of_alias, pairs.reshape(len(alias), -1)
         )
 
+    @cached_property
+    def log_square(self) -> Floats:
+        """Logarithm [frequency alias] of f0^2 + |f|^2, f0 the lowest frequency of a frame."""
+        return np.asarray(np.log(max(self.shape) ** -2.0 + self.down**2 + self.right**2))
+
     def smoothed(self, values: Floats) -> Floats:
         """Return the mean over the neighbours of each frequency, aliases included, [f alias]."""
         from scipy.ndimage import uniform_filter
 
         rows, cols = ((2 * self.reach + 1) * size for size in self.shape)
-        at_row = np.rint(self.down * self.shape[0]).astype(np.intp)
-        at_col = np.rint(self.right * self.shape[1]).astype(np.intp)
-        total, count = np.zeros((rows, cols)), np.zeros((rows, cols))
-        for sign in (1,) if self.whole_plane else (1, -1):
-            place = (sign * at_row % rows, sign * at_col % cols)
-            np.add.at(total, place, values)
-            np.add.at(count, place, 1.0)
-        total = uniform_filter(total, _NEIGHBOURS, mode="wrap")
-        count = uniform_filter(count, _NEIGHBOURS, mode="wrap")
-        found: Floats = (total / count)[at_row % rows, at_col % cols]
-        return found
+        row, col = (np.rint(of * size).astype(np.intp) for of, size in
+                    zip((self.down, self.right), self.shape, strict=True))  # fmt: skip
+        first = rows * cols * np.arange(self.sets).repeat(len(self.weight) // self.sets)[:, None]
+        places = np.stack([(first + sign * row % rows * cols + sign * col % cols)
+                           for sign in ((1,) if self.whole_plane else (1, -1))])  # fmt: skip
+        planes, near = (self.sets, rows, cols), (1, _NEIGHBOURS, _NEIGHBOURS)
+        sums = []
+        for of in (values, np.ones_like(values)):
+            weight = np.broadcast_to(of, places.shape).ravel()
+            whole = np.bincount(places.ravel(), weight, self.sets * rows * cols).reshape(planes)
+            sums.append(uniform_filter(whole, near, mode="wrap").ravel()[places[0]])
+        return np.asarray(sums[0] / sums[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +146,16 @@ class Steering:
         return sums.view(np.complex128).reshape(*power.shape[:-1], count, count)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+class Solved(NamedTuple):
+    """A part of the frequencies; covariance and spectra are turned back by `Steering.back`."""
+
+    part: slice
+    inverse: Array  # [frequency frame frame] S^-1
+    y: Array  # [frequency frame] the spectra
+    seen: Array  # [frequency frame] S^-1 y
+
+
+@dataclass(frozen=True, eq=False)
 class Spectrum:
     """Power of the scene at each frequency and alias, and of white noise.
 
@@ -137,127 +166,139 @@ class Spectrum:
     """
 
     frequencies: Frequencies  # where
-    # of the power law and of the noise
-    log_level: float
-    exponent: float
-    log_noise: float
+    # [set] of the power law and of the noise
+    log_level: Floats
+    exponent: Floats
+    log_noise: Floats
     freedom: Floats  # [frequency alias] factor that the frames have shown, 1 at first
 
     @property
-    def noise_power(self) -> float:
-        """Variance of the noise of an LR pixel."""
-        return float(np.exp(self.log_noise))
+    def noise_power(self) -> Floats:
+        """Variance [set] of the noise of an LR pixel."""
+        return np.exp(self.log_noise)
 
-    @property
+    @cached_property
     def power(self) -> Floats:
         """Power P [frequency alias]."""
         at = self.frequencies
         square = at.down**2 + at.right**2
         blur = (2.0 * np.pi * PIXEL_SIGMA_PX / at.reach) ** 2 * square
-        law = np.exp(self.log_level - self.exponent * self._log_frequency() - blur)
+        level, exponent = (at.each(of)[:, None] for of in (self.log_level, self.exponent))
+        law = np.exp(level - exponent * at.log_square - blur)
         return np.asarray(law * self.freedom)
 
-    def _log_frequency(self) -> Floats:
-        at = self.frequencies
-        lowest = 1.0 / max(at.shape)
-        return np.asarray(np.log(lowest**2 + at.down**2 + at.right**2))
-
-    def inverted(
-        self, spectra: Array, steering: Steering
-    ) -> Iterator[tuple[slice, Array, Array, Array]]:
-        """Yield a part of the frequencies, S^-1, y and S^-1 y there, turned back.
+    def solved(self, spectra: Array, steering: Steering) -> Iterator[Solved]:
+        """Yield a part of the frequencies after another, with S^-1 and S^-1 y there.
 
         S = sum P b b^H + sigma^2 I
         """
         power, diagonal = self.power, np.arange(spectra.shape[1])
+        noise = self.frequencies.each(self.noise_power)
         turned = steering.back * spectra
         for part in self.frequencies.parts(spectra.shape[1]):
             matrix = steering.summed(power[part])
-            rounding = _ROUNDING * power[part].sum(axis=-1, keepdims=True)
-            matrix[:, diagonal, diagonal] += self.noise_power + rounding
+            rounding = _ROUNDING * power[part].sum(axis=-1)
+            matrix[:, diagonal, diagonal] += (noise[part] + rounding)[:, None]
             inverse = np.linalg.inv(matrix)
-            yield part, inverse, turned[part], (inverse @ turned[part][..., None])[..., 0]
+            seen = (inverse @ turned[part][..., None])[..., 0]
+            yield Solved(part, inverse, turned[part], seen)
 
-    def scored(self, spectra: Array, steering: Steering, *, whole: bool) -> tuple[Spectrum, float]:
-        """Return the spectrum after one step of Fisher scoring, and the size of the step.
+    def learned(
+        self,
+        spectra: Array,
+        steering: Steering,
+        *,
+        whole: bool,
+        ask: Callable[[Solved], None] | None = None,
+    ) -> Learned:
+        """Return what the frames say of scene and noise; of the power law only if `whole`.
 
-        Level, exponent and noise take part if `whole`, otherwise only the noise. Of the level,
-        dS = S - sigma^2 I; of the noise, dS = sigma^2 I.
+        `ask` is told of each part of the frequencies, to take what else it says.
         """
-        score, information = np.zeros(3), np.zeros((3, 3))
-        noise, count = self.noise_power, spectra.shape[1]
-        steeper = -self.power * self._log_frequency()
-        for part, inverse, y, seen in self.inverted(spectra, steering):
-            weight = self.frequencies.weight[part]
-            trace = noise * np.real(np.trace(inverse, axis1=1, axis2=2))
-            square = noise * np.sum(np.abs(seen) ** 2, axis=1)
-            both = noise**2 * np.sum(np.abs(inverse) ** 2, axis=(1, 2))
-            score[2] += weight @ (square - trace)
-            information[2, 2] += weight @ both
-            if not whole:
-                continue
-            score[0] += weight @ (
-                np.real(np.sum(np.conj(y) * seen, axis=1)) - square - count + trace
-            )
-            information[0, 0] += weight @ (count - 2.0 * trace + both)
-            information[0, 2] += weight @ (trace - both)
-            slope = steering.summed(steeper[part])
-            whitened = inverse @ slope
-            own = np.real(np.trace(whitened, axis1=1, axis2=2))
-            mixed = noise * np.real(np.einsum("fkl,flk->f", whitened, inverse))
-            bent = np.real(np.sum(np.conj(seen) * (slope @ seen[..., None])[..., 0], axis=1))
-            score[1] += weight @ (bent - own)
-            information[1, 1] += weight @ np.real(np.einsum("fkl,flk->f", whitened, whitened))
-            information[0, 1] += weight @ (own - mixed)
-            information[1, 2] += weight @ mixed
-        information += np.triu(information, 1).T
-        step = np.linalg.pinv(information, hermitian=True) @ score
+        sets, noise = self.frequencies.sets, self.frequencies.each(self.noise_power)
+        score, information = np.zeros((3, sets)), np.zeros((3, 3, sets))
+        power, expected = np.empty_like(self.power), np.empty_like(spectra)
+        pairs = steering.pairs.view(np.float64).T
+        for one in self.solved(spectra, steering):
+            part, inverse, y, seen = one
+            self._score(one, steering, score, information, whole=whole)
+            data = seen @ np.conj(steering.alias).T
+            known = inverse.reshape(len(seen), -1).view(np.float64) @ pairs
+            mean_square = (self.power[part] * np.abs(data)) ** 2
+            power[part] = mean_square + self.power[part] - self.power[part] ** 2 * known
+            expected[part] = np.conj(steering.back[part]) * (y - noise[part, None] * seen)
+            if ask is not None:
+                ask(one)
+        return Learned(*self._stepped(score, information), power, expected)
+
+    def _score(
+        self, at: Solved, steering: Steering, score: Floats, information: Floats, *, whole: bool
+    ) -> None:
+        """Add the gradient of the likelihood by noise, level and exponent [3 set], information.
+
+        Level and exponent take part if `whole`.
+        """
+        part, inverse, _, seen = at
+        weight = self.frequencies.of_set[:, part]
+        noise = self.frequencies.each(self.noise_power)[part, None, None]
+        powers = (self.power, -self.power * self.frequencies.log_square) if whole else ()
+        slopes = [noise * np.eye(seen.shape[1]), *(steering.summed(one[part]) for one in powers)]
+        whitened = [noise * inverse, *(inverse @ one for one in slopes[1:])]
+        for i, slope in enumerate(slopes):
+            bent = np.sum(np.conj(seen) * (slope @ seen[..., None])[..., 0], axis=1)
+            score[i] += weight @ np.real(bent - np.trace(whitened[i], axis1=1, axis2=2))
+            for j in range(i, len(slopes)):
+                both = np.sum(whitened[i] * np.swapaxes(whitened[j], 1, 2), axis=(1, 2))
+                information[i, j] += weight @ np.real(both)
+
+    def _stepped(self, score: Floats, information: Floats) -> tuple[Spectrum, float]:
+        """Return the spectrum after a step of Fisher scoring, and the size of the step."""
+        square = np.moveaxis(information, 2, 0)
+        square = square + np.triu(square, 1).swapaxes(1, 2)
+        step = (np.linalg.pinv(square, hermitian=True) @ score.T[..., None])[..., 0]
         # The whole step is shortened: level and exponent go together, and a step that is cut in one
         # of them alone leaves the likelihood worse, to and fro without end.
-        step *= min(1.0, 1.0 / max(float(np.abs(step).max()), 1e-300))
+        step /= np.maximum(np.abs(step).max(axis=1, keepdims=True), 1.0)
         moved = replace(
             self,
-            log_level=self.log_level + float(step[0]),
-            exponent=float(np.clip(self.exponent + step[1], 0.0, 4.0)),
-            log_noise=self.log_noise + float(step[2]),
+            log_noise=self.log_noise + step[:, 0],
+            log_level=self.log_level + step[:, 1],
+            exponent=np.clip(self.exponent + step[:, 2], 0.0, 4.0),
         )
         return moved, float(np.abs(step).max())
 
-    def freed(self, spectra: Array, steering: Steering) -> Spectrum:
+    def freed(self, power: Floats) -> Spectrum:
         """Return the spectrum with the power that the frames show, smoothed over neighbours.
 
         P <- P0 (mean of E|X|^2 / P0)^(n / (n + nu)),   E|X|^2 given the frames (EM)
         """
-        power = self.power
-        seen_power = np.empty_like(power)
-        pairs = steering.pairs.view(np.float64).T
-        for part, inverse, _, seen in self.inverted(spectra, steering):
-            data = seen @ np.conj(steering.alias).T
-            known = inverse.reshape(len(seen), -1).view(np.float64) @ pairs
-            mean_square = (power[part] * np.abs(data)) ** 2
-            seen_power[part] = mean_square + power[part] - power[part] ** 2 * known
-        law = power / self.freedom
         bins = _NEIGHBOURS**2
-        ratio = self.frequencies.smoothed(seen_power / law)
+        ratio = self.frequencies.smoothed(power * self.freedom / self.power)
         lean = bins / (bins + _LEANING_BINS)
         return replace(self, freedom=np.maximum(ratio, _LEAST_FREEDOM) ** lean)
 
-    def expected(self, spectra: Array, steering: Steering) -> Array:
-        """Return what of the spectra [frequency frame] is scene, not noise."""
-        found = np.empty_like(spectra)
-        for part, _, y, seen in self.inverted(spectra, steering):
-            found[part] = np.conj(steering.back[part]) * (y - self.noise_power * seen)
-        return found
+
+class Learned(NamedTuple):
+    """What frames say of scene and noise."""
+
+    spectrum: Spectrum  # after one step of Fisher scoring
+    step: float  # its size
+    power: Floats  # [frequency alias] E|X|^2 given the frames
+    expected: Array  # [frequency frame] what of the spectra is scene, not noise
 
 
-def first_spectrum(frequencies: Frequencies, spectra: Array) -> Spectrum:
-    """Return a spectrum to start from: a usual power law that has the power of the frames."""
-    start = Spectrum(frequencies, 0.0, 1.5, 0.0, np.ones_like(frequencies.down))
-    weight = frequencies.weight[:, None]
-    level = float(np.sum(weight * np.abs(spectra) ** 2) / spectra.shape[1])
-    level = max(level, 1e-30)
-    of_law = float(np.sum(weight * start.power))
-    mean = level / float(np.sum(weight))
-    return replace(
-        start, log_level=float(np.log(level / of_law)), log_noise=float(np.log(1e-3 * mean))
-    )
+def first_spectrum(frequencies: Frequencies, spectra: Array, steering: Steering) -> Spectrum:
+    """Return the likeliest power law, from a usual one that has the power of the frames."""
+    none = np.zeros(frequencies.sets)
+    start = Spectrum(frequencies, none, none + 1.5, none, np.ones_like(frequencies.down))
+    of_set = frequencies.of_set
+    level = of_set @ np.sum(np.abs(spectra) ** 2, axis=1) / spectra.shape[1]
+    level = np.maximum(level, 1e-30)
+    of_law = of_set @ start.power.sum(axis=1)
+    mean = level / of_set.sum(axis=1)
+    found = replace(start, log_level=np.log(level / of_law), log_noise=np.log(1e-3 * mean))
+    for _ in range(_PASSES):
+        found, step, *_ = found.learned(spectra, steering, whole=True)
+        if step < _SMALL_STEP:
+            break
+    return found

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
-
-if TYPE_CHECKING:
-    from lensshift.registration.spectrum import Spectrum, Steering
-
 
 # Share of the common length over which a whole taper rises at each end: nothing rises slower that
 # leaves a plateau as long as its flanks.
@@ -34,16 +29,16 @@ class Tapered:
     expected: Array | None  # [frame row col] what the model expects of the tapered frames, or None
     inflation: float  # by how much the taper and invalid pixels widen a variance
 
-    def with_expected(self, spectrum: Spectrum, steering: Steering) -> Tapered:
-        """Return it with what the model expects of the frames, to fill invalid pixels with."""
+    def with_expected(self, expected: Array) -> Tapered:
+        """Return it with what the model expects of the spectra, to fill invalid pixels with."""
         count, rows, cols = self.window.shape
-        whole = spectrum.frequencies.whole_plane
+        whole = len(expected) + 1 == rows * cols  # of complex frames
         columns = cols if whole else cols // 2 + 1
         padded = np.zeros((rows * columns, count), np.complex128)
-        padded[1:] = spectrum.expected(self.spectra, steering)
+        padded[1:] = expected
         shaped = padded.T.reshape(count, rows, columns) * self.scale[:, None, None]
-        expected = np.fft.ifft2(shaped) if whole else np.fft.irfft2(shaped, s=(rows, cols))
-        return replace(self, expected=expected)
+        filling = np.fft.ifft2(shaped) if whole else np.fft.irfft2(shaped, s=(rows, cols))
+        return replace(self, expected=filling)
 
 
 def taper_frames(
@@ -71,25 +66,30 @@ def taper_frames(
     flank_px : over which the window rises at each end, at most a quarter of the common length
     """
     rows, cols = frames.shape[1:]
-    window = (
-        _axis_window(rows, offset_px[:, 0], flank_px)[:, :, None]
-        * _axis_window(cols, offset_px[:, 1], flank_px)[:, None, :]
+    down, across = (
+        _axis_window(size, offset_px[:, axis], flank_px) for axis, size in enumerate((rows, cols))
     )
-    used = window * valid
-    total, weight = (used * np.where(valid, frames, 0)).sum(axis=(1, 2)), used.sum(axis=(1, 2))
+    window = down[:, :, None] * across[:, None, :]
+    whole = bool(valid.all())
+    used = window if whole else window * valid
+    known = frames if whole else np.where(valid, frames, 0)
+    total = np.einsum("krc,krc->k", used, known)
+    weight = np.einsum("krc->k", used)
     if own_mean:
         mean = total / np.maximum(weight, 1e-12)
     else:
         mean = np.full(len(frames), total.sum() / max(weight.sum(), 1e-12))
-    filling = 0.0 if expected is None else expected
-    values = np.where(valid, window * (frames - mean[:, None, None]), filling)
-    energy = np.sum(window**2, axis=(1, 2))
+    values = used * (known - mean[:, None, None])
+    if not whole and expected is not None:
+        values = np.where(valid, values, expected)
+    energy = np.sum(down**2, axis=1) * np.sum(across**2, axis=1)
     scale = np.sqrt(energy)
     transform = np.fft.fft2 if frames.dtype.kind == "c" else np.fft.rfft2
     spectra = (transform(values) / scale[:, None, None]).reshape(len(frames), -1).T[1:]
     # Variance of an estimate from tapered data (Dahlhaus 1988).
-    inflation = rows * cols * np.sum(window**4) / len(frames) / energy.mean() ** 2
-    share = float(np.sum(used**2) / np.sum(window**2))
+    fourth = float(np.sum(down**4, axis=1) @ np.sum(across**4, axis=1))
+    inflation = rows * cols * fourth / len(frames) / energy.mean() ** 2
+    share = float(np.vdot(used, used) / energy.sum())
     return Tapered(spectra, window, scale, expected, float(inflation) / max(share, 1e-12))
 
 
