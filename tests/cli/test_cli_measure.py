@@ -70,6 +70,22 @@ def test_gain_speaks_of_regions_in_pixels_of_the_coarse_image(
     assert all(text.startswith(str(tmp_path)) for text in warned), warned
 
 
+def test_gain_knows_how_far_a_frame_moved(call: Call, tmp_path: Path) -> None:
+    frames = np.stack([edge(), np.roll(edge(), 3, axis=1)])
+    moved = np.array([[0.0, 0.0], [0.0, 3.0]])
+    for name, offset_px in (("burst", moved), ("untold", np.zeros((2, 2)))):
+        save_burst(Burst.from_arrays(frames, offset_px=offset_px), tmp_path / f"{name}.nc")
+    np.save(tmp_path / "fine.npy", edge(2, sigma_px=0.4))
+    verb = "evaluate", "gain", tmp_path / "fine.npy"
+    at = "--region", "0,16,4,36", "--json"
+    for file, frame, words in (("burst", 0, 0), ("burst", 1, 0), ("untold", 1, 1)):
+        done = call(*verb, tmp_path / f"{file}.nc", "--frame", str(frame), *at)
+        told = [
+            one for one in json.loads(done.stdout)["warnings"] if "3.0 px of the coarser" in one
+        ]
+        assert len(told) == words
+
+
 def test_frequencies_in_the_scene(call: Call, tmp_path: Path) -> None:
     np.save(tmp_path / "edge.npy", edge())
     wanted = "mtf", tmp_path / "edge.npy", "--pitch-mm", "0.1"

@@ -114,6 +114,44 @@ def test_different_edges_are_doubted_with_their_angles() -> None:
         resolution_gain(upright, slanted)
 
 
+def pictures(place_px: float, turn_rad: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return one edge in pixels of a half, and in whole ones."""
+    both = []
+    for scale in (2, 1):
+        row, col = ((np.arange(n * scale) + 0.5) / scale - 0.5 for n in (30, 34))
+        across = (col - place_px) * np.cos(turn_rad) + (row[:, None] - 14) * np.sin(turn_rad)
+        noise = 0.003 * np.random.default_rng(scale).standard_normal(across.shape)
+        both.append(0.2 + 0.6 * ndtr(across / (0.4 / scale + 0.4)) + noise)
+    return both[0], both[1]
+
+
+@pytest.mark.parametrize("turn_rad", [-0.2, 0.13])
+@pytest.mark.parametrize("lies", [False, True])
+def test_another_picture_is_told_and_the_same_is_not(turn_rad: float, lies: bool) -> None:
+    """Inverted, mirrored and shifted pictures had a gain without a word."""
+    fine, coarse = pictures(16.0, turn_rad)
+    moved, _ = pictures(19.0, turn_rad)
+    cases = {
+        "": fine, "inverted": 1.0 - fine, "px of the coarser image aside": moved,
+        "mirrored": fine[::-1, ::-1],
+    }  # fmt: skip
+    parts = ((4, 50, 4, 66), (6, 28, 1, 33))  # middles at other lines of the edge
+    for word, image in cases.items():
+        images, places = (image, coarse), parts
+        if lies:
+            images, places = (image.T, coarse.T), [(c, d, a, b) for a, b, c, d in parts]
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            edges = [
+                measure_edge(one, pitch, region=place, scale=scale)
+                for one, pitch, place, scale in zip(images, (0.5, 1.0), places, (2, 1), strict=True)
+            ]
+            caught.clear()
+            resolution_gain(*edges)
+        assert len(caught) == bool(word)
+        assert all(word in str(one.message) for one in caught)
+
+
 def lying(at_px: float, region: Region) -> EdgeResult:
     return replace(edge((17, 33), 0.8), region=region, position_px=Interval(at_px))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +57,7 @@ def gain(current: Session, asked: _GainOptions) -> None:
         below = images.measured_frames(coarse, "--joint", key=of_coarse)
     else:
         below = images.measured_image(coarse, asked.pitch_mm, key=of_coarse, frame=asked.frame)
+        below = replace(below, offset_px=below.frame_px)
     above, scale = images.finer(images.measured_image(fine, None, key=of_fine), below)
     images.slices_of(place, below.values.shape[-2:])  # which refuses it in pixels of COARSE
     with _in_file(coarse):

@@ -78,6 +78,7 @@ class Measured:
     valid: Array | None = None  # mask like `values`, or None
     scale: int = 1  # LR pixels are that many pixels wide
     offset_px: Array | None = None  # [frame 2] or None
+    frame_px: Array | None = None  # [1 2]: how far the content of a burst's frame moved, or None
     jpeg_steps: Array | None = None  # [8 8] of a JPEG, as of `measure_edges`, or None
 
     @property
@@ -104,7 +105,7 @@ def measured_image(
         pitch = _pitch_of(burst.grid, 1, path, pitch_mm)
         frames = _burst_channel(burst, path, named), burst.valid
         values, valid = (_one_frame(one, path, frame) for one in frames)
-        return Measured(values, *pitch, valid)
+        return Measured(values, *pitch, valid, frame_px=burst.offset_px[[frame]])
     if kind is not Kind.STACK:
         one = kind is Kind.RECONSTRUCTION
         result = load_reconstruction(path) if one else load_window(path, frame)

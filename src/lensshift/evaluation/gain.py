@@ -13,6 +13,7 @@ from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, avera
 _MAX_TURN_RAD = np.deg2rad(1.0)  # two measurements of one edge agree better than that
 _SHARPENED = 1.0 + 1e-3  # 1 at frequency 0, but for the steps of the curve
 _MAX_APART = 0.25  # of the length of an edge, between its middles in the two images
+_MAX_ASIDE_PX = 1.0  # of the coarse image: frames of one burst lie nearer to one another
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +52,9 @@ def resolution_gain(fine: EdgeResult, coarse: EdgeResult) -> ResolutionGain:
     Warns
     -----
     QualityWarning
-        If the edges differ in angle by more than a degree, so are hardly one target, or an image
-        is sharpened: its MTF rises above 1 by more than its errors.
+        If the edges differ in angle by more than a degree, in their bright side, or lie a coarse
+        pixel aside of one another, so are hardly one target, or an image is sharpened: its MTF
+        rises above 1 by more than its errors.
 
     Source: Donner and Zou, Statistical Methods in Medical Research 21 (2012) 347, for the interval.
     """
@@ -63,6 +65,8 @@ def resolution_gain(fine: EdgeResult, coarse: EdgeResult) -> ResolutionGain:
             for edge in (fine, coarse)
         )
         warn_quality(f"expected two measurements of one edge, got {told}")
+    elif doubt := _other_picture(fine, coarse):
+        warn_quality(doubt)
     for name, edge in (("finer", fine), ("coarser", coarse)):
         if edge.peak.low > _SHARPENED:
             warn_quality(
@@ -75,6 +79,27 @@ def resolution_gain(fine: EdgeResult, coarse: EdgeResult) -> ResolutionGain:
         width=ratio_of(coarse.rise_mm, fine.rise_mm),
         noise=fine.noise / coarse.noise,
     )
+
+
+def _other_picture(fine: EdgeResult, coarse: EdgeResult) -> str:
+    """Return how two edges of one angle tell that their images are not of one scene, or nothing."""
+    if fine.rising != coarse.rising:
+        return (
+            "the edge is bright on one side in the finer image and on the other in the coarser "
+            "one: is one of them inverted or mirrored?"
+        )
+    scale, turn_rad = coarse.pitch_mm / fine.pitch_mm, coarse.angle_rad.value
+    along = 0 if coarse.orientation == "vertical" else 1
+    line_px = (fine.region.middle_px[along] + 0.5) / scale - 0.5 - coarse.region.middle_px[along]
+    there_px = coarse.position_px.value - line_px * np.tan(turn_rad)
+    here_px = (fine.position_px.value + 0.5) / scale - 0.5
+    aside_px = abs(here_px - there_px) * np.cos(turn_rad)
+    if aside_px > _MAX_ASIDE_PX:  # not of methods that do not tell the place
+        return (
+            f"the edge lies {aside_px:.1f} px of the coarser image aside in the finer one: do both "
+            "show the whole scene (none cropped, or shifted against the other)?"
+        )
+    return ""
 
 
 def ratio_of(above: Interval, below: Interval) -> Interval:

@@ -121,6 +121,7 @@ class EdgeResult(Shown, AsTable):
     angle_rad : of the edge against that axis
     position_px : where the edge crosses the region's middle, along the other axis, from the
         middle of the image's first pixel
+    rising : whether the bright side is that of the higher columns (rows)
     bend_px : rms distance of the edge from its straight line
     dark, bright : levels of the plateaus
     noise : standard deviation of a pixel over the contrast
@@ -148,6 +149,7 @@ class EdgeResult(Shown, AsTable):
     orientation: str
     angle_rad: Interval
     position_px: Interval
+    rising: bool
     bend_px: float
     dark: float
     bright: float

@@ -251,7 +251,8 @@ def _as_edge(
     nyquist_cpp = 0.5 / frames.scale
     to_nyquist = np.interp(numbers.steps_to(nyquist_cpp), found.frequency_cpp, found.modulation)
     esf = (found.esf - np.min(sides)) / max(float(np.ptp(sides)), 1e-300)
-    esf = esf if upright[:, -1].mean() > upright[:, 0].mean() else 1.0 - esf
+    rising = bool(upright[:, -1].mean() > upright[:, 0].mean())
+    esf = esf if rising else 1.0 - esf
     middle = int(np.nanargmin(np.abs(esf - 0.5)))
     normal_px: Vector = np.asarray((np.arange(esf.size) - middle) * found.bin_px, dtype=np.float64)
     unknown = Interval(float("nan"))
@@ -264,7 +265,7 @@ def _as_edge(
         # The original's slope is that of the columns the edge passes, line by line: for an upright
         # edge the turn of the normal has the other sign.
         angle_rad=Interval(found.angle_rad if found.rotated else -found.angle_rad),
-        position_px=unknown, bend_px=0.0, dark=dark, bright=bright, noise=noise,
+        position_px=unknown, rising=rising, bend_px=0.0, dark=dark, bright=bright, noise=noise,
         snr=1.0 / max(noise, float(np.finfo(float).tiny)), mtf=curve, low=None, high=None,
         nyquist_lpmm=nyquist_cpp / pitch_mm, esf=Profile(normal_px, esf),
         lsf=Profile(normal_px, np.gradient(esf, found.bin_px)), residual=None,
