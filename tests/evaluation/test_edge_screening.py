@@ -120,6 +120,18 @@ def test_a_level_that_has_no_exact_mean_is_flat(level: float) -> None:
         measure_edge(flat, region=(0, SHAPE[0], 0, SHAPE[1]))
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.25, 0.45])
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+def test_neighbouring_grey_levels_do_not_stand_out(noise: float, gamma: float) -> None:
+    """Of 22 levels across an edge the second next was dust; gamma makes steps uneven."""
+    for seed in range(4):
+        rounded = np.rint(100.0 + 22.3 * noisy(step(0.3), noise / 22.3, seed))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            measure_edge((rounded / 130.0) ** gamma, region=(0, 47, 0, 61))
+        assert not any("stand out" in str(one.message) for one in caught)
+
+
 def test_grey_levels_are_not_taken_for_clipping() -> None:
     fine = noisy(step(0.3), 0.0005)
     counts = np.round(150.0 * fine + 40.0)

@@ -15,7 +15,6 @@ _STANDS_OUT = 6.0  # deviations; of 1e6 pixels of normal noise, none does
 _MOST_PASSES = 6
 _MOST_OUT = 0.05  # of the pixels; what is more frequent is no exception
 _LEAST_OUT = 0.01  # of the contrast, as a deviation: the blocks of a JPEG are no dust
-_OF_GREY_LEVEL = 0.3  # as a deviation, that of rounding
 _BIN_UNITS = 2.0
 _FEWEST_IN_BIN = 16
 _BLUR_UNITS = 3.0  # from an edge, where all but a thousandth of a Gaussian has passed
@@ -113,11 +112,16 @@ def _left_over(edge: UprightEdge, out: Mask) -> float:
 def _standing_out(edge: UprightEdge, out: Mask) -> Mask:
     response = edge.response_without(out) if out.any() else edge.free_response
     rest = edge.scaled - response.of(edge.scaled)[0]
-    levels = np.unique(edge.scaled)  # neighbouring grey levels are no exception
-    least = max(_LEAST_OUT, _OF_GREY_LEVEL * float(np.min(np.diff(levels), initial=1.0)))
     bins = _Bins(edge)
-    middle, deviation = bins.levels(rest)
-    limit = np.where(bins.large, _STANDS_OUT * np.maximum(deviation, least), np.inf)
+    # Half of the pixels may hold one grey level: each is spread over its step before it is asked.
+    levels, which = np.unique(edge.scaled, return_inverse=True)
+    steps = np.minimum(np.diff(levels, prepend=-np.inf), np.diff(levels, append=np.inf))
+    share = np.random.default_rng(0).uniform(-0.5, 0.5, rest.size)
+    spread = (
+        rest + share * bins.medians(np.where(np.isfinite(steps), steps, 1.0)[which])[bins.number]
+    )
+    middle, deviation = bins.levels(spread)
+    limit = np.where(bins.large, _STANDS_OUT * np.maximum(deviation, _LEAST_OUT), np.inf)
     return np.asarray(np.abs(rest - middle[bins.number]) > limit[bins.number])
 
 
