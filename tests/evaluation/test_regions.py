@@ -82,3 +82,15 @@ def test_noise_beside_faint_edges_is_nothing_else(angle_deg: float) -> None:
     u, v = col * np.cos(turn) + row * np.sin(turn), row * np.cos(turn) - col * np.sin(turn)
     squares = np.where(np.maximum(np.abs(u), np.abs(v)) < 35.0, 90.0, 100.0)
     assert len(find_regions(seen(squares))) == 16
+
+
+@pytest.mark.parametrize("blur_px", [1.0, 1.4])
+@pytest.mark.parametrize("radius_px", [40.0, 48.0])
+def test_sides_of_wedges_are_found(radius_px: float, blur_px: float) -> None:
+    """The other side of a wedge was taken for the flank of the first, of stars that are small."""
+    row, col = np.indices((320, 320)) % 160 - 79.7
+    sector = (np.arctan2(row, col) - np.deg2rad(6.0)) % (0.5 * np.pi) < 0.25 * np.pi
+    star = np.where(sector & (np.hypot(row, col) < radius_px), 40.0, 200.0)
+    noise = np.random.default_rng(5).standard_normal(star.shape)
+    # Eight sides of each: four of six degrees, four of 39.
+    assert len(find_regions(gaussian_filter(star, blur_px) + noise)) == 4 * 8

@@ -23,11 +23,12 @@ _LEAST_LENGTH_PX = 10
 _CORNER_PX = 3  # left out at both ends of an edge
 _HALF_WIDTH_PX = 24  # of a region across its edge, at most
 _LEAST_HALF_WIDTH_PX, _GOOD_HALF_WIDTH_PX = 5, 12
-_PARTS = (1.0, 0.7, 0.5, 0.35)
+_PARTS = (1.0, 0.7, 0.5, 0.35, 0.25)
 _STRAIGHT_PX = 0.7  # rms distance of the ridge from its line, smooth bends apart
 _CORNER_AWAY_PX = 2.0  # a ridge so far from its chord has a corner there
 # Beside an edge lie other things where their gradient is this share of its own, or above noise.
 _OTHERS_SHARE = 0.2
+_LOUD = 0.05  # of the lines
 _LEAST_SHARE = 0.8  # of the variance in a region, but for the noise, that one step must explain
 # ISO 12233 takes edges of 5 degrees; below the first the lines of frames lie, and beyond the second
 # rows and columns see an edge alike.
@@ -179,17 +180,21 @@ def _around(
         return None, 0.0
     others = max(_OTHERS_SHARE * float(np.median(strength[line, place])), least)
     best, best_px = None, _LEAST_HALF_WIDTH_PX - 1
-    for part in _PARTS:  # a long slanted edge leaves its rectangle little room; a part has more
-        cut = round(0.5 * (1.0 - part) * (last - first))
-        low, high = first + cut, last - cut
-        if high - low < _LEAST_LENGTH_PX or abs(slope) * (high - low) < _LEAST_CROSSED_PX:
+    # A long slanted edge leaves its rectangle little room; a part has more, as a wedge's wide end.
+    for part in _PARTS:
+        length = round(part * (last - first))
+        if length < _LEAST_LENGTH_PX or abs(slope) * length < _LEAST_CROSSED_PX:
             break
-        at: Image = np.polyval(bend, np.arange(low, high)).astype(np.float64)
-        left, right = _room(strength[low:high], at, others)
-        if min(left, right) > best_px:
-            best_px = min(left, right)
-            start, stop = int(np.floor(at.min())) - left, int(np.ceil(at.max())) + right + 1
-            best = (low, high, max(start, 0), min(stop, strength.shape[1]))
+        spare = last - first - length
+        for k in (2, 1, 3, 0, 4) if spare else (0,):
+            low = first + k * spare // 4
+            high = low + length
+            at: Image = np.polyval(bend, np.arange(low, high)).astype(np.float64)
+            left, right = _room(strength[low:high], at, others)
+            if min(left, right) > best_px:
+                best_px = min(left, right)
+                start, stop = int(np.floor(at.min())) - left, int(np.ceil(at.max())) + right + 1
+                best = (low, high, max(start, 0), min(stop, strength.shape[1]))
         if best_px >= _GOOD_HALF_WIDTH_PX:
             break
     return best, float(np.arctan(slope))
@@ -200,16 +205,19 @@ def _room(strength: Image, centre: Image, others: float) -> tuple[int, int]:
     count = strength.shape[1]
     low, high = int(np.floor(centre.min())), int(np.ceil(centre.max()))
     lines = np.arange(len(centre))
-    # The flank of the edge itself ends where its gradient has fallen.
     away = np.arange(1, high - low + _HALF_WIDTH_PX + 1)
     found = []
     for side in (-1, 1):
         at = np.rint(centre[:, None] + side * away).astype(np.intp)
         valid = (at >= 0) & (at < count)
         seen = strength[lines[:, None], np.clip(at, 0, count - 1)]
-        loud = np.mean((seen > others) & valid, axis=0) > 0.05
-        flank = int(np.argmin(loud)) if not loud.all() else away.size
-        beyond = loud[flank:]
+        share = np.append(np.mean((seen > others) & valid, axis=0), 0.0)
+        # The flank of the edge itself ends where its gradient has fallen on most lines; a tail of
+        # it that is longer than itself is the other side of a wedge.
+        flank = int(np.argmax(share <= 0.5))
+        tail = int(np.argmax(share[flank:] <= _LOUD))
+        flank += tail if tail <= flank + _CORNER_PX else 0
+        beyond = share[flank:-1] > _LOUD
         free = flank + (int(np.argmax(beyond)) if beyond.any() else beyond.size)
         border = (low if side < 0 else count - 1 - high) + high - low
         # Of a rectangle the corner reaches as much farther as the edge slants.
