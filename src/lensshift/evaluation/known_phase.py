@@ -25,7 +25,9 @@ _MAX_CENTER_STEPS = 30
 _CENTER_TOLERANCE_PX = 1e-4
 # Of the fall that is seen: how much a cusp, as of diffraction, and a disc may make up. Above 1 what
 # is left rises, as behind sharpening.
-_SHAPES = np.linspace(0.0, 1.5, 13)
+_SHAPES = np.linspace(0.0, 1.5, 31)
+# The highest frequency seen, over the cut-off; beyond, a disc out of focus looks alike.
+_CUTOFFS = np.linspace(0.0, 0.8, 28)[1:]
 _DISC_ZERO_RAD = 3.8317  # of J1: a disc out of focus shows nothing there
 _MIN_MODULATION = 1e-3  # of the lowest frequencies; below, the image does not hold the target
 _SURE = 4.0  # deviations: noise of two quadratures exceeds them once in 3000
@@ -173,9 +175,10 @@ def contrast_at_zero(
 
         log m = log contrast - a f - b f^2 + log |2 J1(z) / z|,   z = 2 pi f R
 
-    f as diffraction and halos fall, f^2 as a Gaussian and a pixel, J1 as a disc out of focus of
-    radius R. A Gaussian alone is taken unless others fit better by two deviations; then the mean of
-    each a and R that is possible, as it fits. The error holds how far off they are.
+    f as halos fall, f^2 as a Gaussian and a pixel, J1 as a disc out of focus of radius R; or, for
+    a f, with the fall of a perfect lens to a cut-off. A Gaussian alone is taken unless others fit
+    better by two deviations; then the mean of each a or cut-off and R that is possible, as it fits.
+    The error holds how far off they are.
     """
     if levels is not None:
         low, high = levels
@@ -213,7 +216,7 @@ def contrast_at_zero(
 
 
 def _falls(place: Floats, bend: float, bend_std: float) -> Floats:
-    """Return what cusps and discs [k] add to log m [k n], those without a cusp first.
+    """Return what cusps or cut-offs, and discs [k] add to log m [k n], those of discs alone first.
 
     By `place`, the frequency over the highest, where log m bends by bend place^2 in all.
     """
@@ -222,8 +225,12 @@ def _falls(place: Floats, bend: float, bend_std: float) -> Floats:
     discs_rad = np.minimum(np.sqrt(8.0 * most * _SHAPES), 0.97 * _DISC_ZERO_RAD)
     z = np.maximum(np.multiply.outer(discs_rad, place), 1e-6)
     discs = np.log(2.0 * special.j1(z) / z)
-    both = np.multiply.outer(cusps, place)[:, None, :] + discs
-    return np.asarray(both.reshape(-1, place.size))
+    first = np.multiply.outer(cusps, place)
+    if bend < 0.0:
+        u = np.multiply.outer(_CUTOFFS, place)
+        perfect = 2.0 / np.pi * (np.arccos(u) - u * np.sqrt(1.0 - u * u))
+        first = np.concatenate([first, np.log(perfect)])
+    return np.asarray((first[:, None, :] + discs).reshape(-1, place.size))
 
 
 def printed_count(frequency_lpmm: Floats, fits: Sequence[HarmonicFit], apart: int) -> int:
