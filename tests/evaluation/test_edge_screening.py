@@ -261,3 +261,23 @@ def test_two_sides_of_a_square_are_not_one_edge(seed: int) -> None:
     one_side = measure_edge(image[:22], region=(0, 22, 0, 36))
     assert one_side.usable
     assert one_side.mtf50_lpmm.value == pytest.approx(0.187 / 0.65, rel=0.03)  # of the Gaussian
+
+
+@pytest.mark.parametrize("sigma_px", [0.9, 1.2])
+def test_neighbours_foretell_smooth_noise_as_well_as_their_sum_allows(sigma_px: float) -> None:
+    """The best factors were all cut alike: innovations were half as large again, and not white."""
+    lags = np.arange(-7, 8)
+    shared = np.exp(-(lags**2) / (4.0 * sigma_px**2))
+    factors = noise_of_covariance(np.outer(shared, shared), 1.0).prediction
+    assert factors.sum() == pytest.approx(0.8)
+    place = np.array([(r, c) for r in range(-3, 1) for c in range(-3, 4) if (r, c) <= (0, 0)])
+    apart = np.sum((place[:, None] - place) ** 2, axis=2)
+    covariance = np.exp(-apart / (4.0 * sigma_px**2)) + 1e-4 * np.eye(len(place))
+    around, right = covariance[:-1, :-1], covariance[:-1, -1]
+    best = np.linalg.solve(around, right)
+
+    def left(used: Image) -> float:
+        whitened = np.append(-used, 1.0)
+        return float(whitened @ covariance @ whitened)
+
+    assert left(best) < left(factors) < 0.95 * left(best * 0.8 / best.sum())

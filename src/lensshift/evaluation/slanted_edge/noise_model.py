@@ -249,8 +249,7 @@ def noise_of_covariance(covariance: Matrix, contrast: float) -> NoiseModel:
 
     between = at(steps[:, None, :] - steps[None, :, :])
     between.flat[:: len(steps) + 1] += NOISELESS * variance  # smooth noise has nearly equal rows
-    prediction = np.asarray(np.linalg.solve(between, at(steps)), dtype=np.float64)
-    return NoiseModel(sigma, sigma, order, _limited(prediction))
+    return NoiseModel(sigma, sigma, order, _foretelling(between, at(steps)))
 
 
 def _best_prediction(scaled: Vector, places: Places, sites: Places) -> tuple[int, Vector, float]:
@@ -268,7 +267,8 @@ def _best_prediction(scaled: Vector, places: Places, sites: Places) -> tuple[int
         if count < 4 * terms + _FEWEST_SITES // 2:
             break
         inputs = around[:, used]
-        factors = _limited(few_factors(inputs, foretold)) if terms else np.zeros(0)
+        products = inputs.T @ inputs
+        factors = _foretelling(products, inputs.T @ foretold) if terms else np.zeros(0)
         rest = float(np.mean((foretold - inputs @ factors) ** 2))
         criterion = count * np.log(max(rest, 1e-300)) + terms * np.log(count)
         if criterion < lowest:
@@ -276,13 +276,14 @@ def _best_prediction(scaled: Vector, places: Places, sites: Places) -> tuple[int
     return best
 
 
-def _limited(prediction: Vector) -> Vector:
-    """Return the prediction with a sum that leaves the plateaus their level.
+def _foretelling(products: Matrix, right: Vector) -> Vector:
+    """Return least squares factors of neighbours [k], of a sum that leaves plateaus their level.
 
     A sum of 1 whitens every constant to 0: the levels are free then, and diverge.
     """
-    total = float(prediction.sum())
-    return prediction * min(1.0, _LARGEST_SUM / total) if total > 0.0 else prediction
+    factors, evenly = np.linalg.lstsq(products, np.stack([right, np.ones(right.size)], 1))[0].T
+    over = max(float(factors.sum()) - _LARGEST_SUM, 0.0)
+    return np.asarray(factors - over / evenly.sum() * evenly)
 
 
 def _half_plane(order: int) -> Places:
