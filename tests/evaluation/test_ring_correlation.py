@@ -33,11 +33,11 @@ def test_images_of_little_noise_agree_everywhere() -> None:
     ring = fourier_ring_correlation(image, 3 * other - 2, pitch_mm=PITCH_MM)
     assert ring.correlation == pytest.approx(np.ones_like(ring.correlation), abs=1e-4)
     assert ring.cutoff_lpmm is None
-    assert ring.fixed_resolution_mm is None
+    assert ring.fixed_cutoff_lpmm is None
     opposite = fourier_ring_correlation(image, -other, pitch_mm=PITCH_MM)
     assert opposite.correlation == pytest.approx(-ring.correlation, abs=1e-9)
     assert opposite.cutoff_lpmm == 0.0
-    assert opposite.resolution_mm == np.inf
+    assert opposite.fixed_cutoff_lpmm == 0.0
 
 
 @pytest.mark.parametrize("moved", [(3, 5), (-1, 0), (0, -7)])
@@ -115,8 +115,6 @@ def test_cutoffs_are_where_the_power_says() -> None:
     ratio = 9 * np.exp(-((ring.frequency_lpmm / 2) ** 2))
     above = ring.frequency_lpmm[ratio / (ratio + 1) > ring.half_bit]
     assert ring.cutoff_lpmm == pytest.approx(above[-1], rel=0.08)
-    assert ring.cutoff_lpmm is not None
-    assert ring.resolution_mm == pytest.approx(1 / ring.cutoff_lpmm)
 
 
 def test_half_bit_threshold_of_many_and_of_one_sample() -> None:

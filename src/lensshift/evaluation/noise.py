@@ -1,4 +1,4 @@
-"""Noise: scatter of repeated frames, what a method makes of it, how far neighbours share it."""
+"""Noise: scatter of repeated frames, how far neighbours share it."""
 
 from __future__ import annotations
 
@@ -102,24 +102,3 @@ def noise_autocovariance(noise_frames: ArrayLike, reach_px: int = 3) -> Floats:
             at = np.array([[row, -row], [col, -col]]) + reach_px  # equal at opposite lags
             covariance[tuple(at)] = np.mean(here * there)
     return covariance
-
-
-def noise_gain(result_frames: ArrayLike, lr_frames: ArrayLike) -> float:
-    """Return noise of an HR pixel / noise of an LR pixel, both over repeated captures.
-
-        gain = median noise of the results / median noise of the frames
-
-    Parameters
-    ----------
-    result_frames : [frame row col], results of independent bursts of one static scene
-    lr_frames : [frame row col], in the same units
-
-    Raises
-    ------
-    ValueError
-        As in `temporal_noise`, or if the frames have no noise.
-    """
-    lr_noise = temporal_noise(lr_frames).median
-    if lr_noise == 0:
-        raise ValueError("expected frames with noise, got identical ones")
-    return temporal_noise(result_frames).median / lr_noise

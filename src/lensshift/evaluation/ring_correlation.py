@@ -49,16 +49,6 @@ class RingCorrelation:
     cutoff_lpmm: float | None
     fixed_cutoff_lpmm: float | None
 
-    @property
-    def resolution_mm(self) -> float | None:
-        """Period at the half-bit cut-off; infinite if nothing agrees, None if all rings do."""
-        return _period_mm(self.cutoff_lpmm)
-
-    @property
-    def fixed_resolution_mm(self) -> float | None:
-        """Period at the cut-off of 1/7; infinite if nothing agrees, None if all rings do."""
-        return _period_mm(self.fixed_cutoff_lpmm)
-
 
 def fourier_ring_correlation(
     first: ArrayLike,
@@ -213,12 +203,6 @@ def _first_crossing_lpmm(frequency_lpmm: Floats, excess: Floats) -> float | None
         return 0.0
     found = first_fall(frequency_lpmm, excess)
     return None if np.isnan(found) else found
-
-
-def _period_mm(cutoff_lpmm: float | None) -> float | None:
-    if cutoff_lpmm is None:
-        return None
-    return 1 / cutoff_lpmm if cutoff_lpmm > 0 else float("inf")
 
 
 def _image(image: ArrayLike, name: str) -> Floats:

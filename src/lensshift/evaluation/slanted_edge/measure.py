@@ -179,6 +179,3 @@ def _given(region: Region | Sequence[int], frames: EdgeFrames) -> Region:
         if not 0 <= part.start < part.stop <= most:
             raise ValueError(f"expected {name} of the region within 0 to {most}, got {place}")
     return place
-
-
-__all__ = ["METHODS", "Method", "measure_edge", "measure_edges", "slanted_edge_mtf"]

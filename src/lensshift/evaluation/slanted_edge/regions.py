@@ -188,13 +188,12 @@ def _around(
         spare = last - first - length
         for k in (2, 1, 3, 0, 4) if spare else (0,):
             low = first + k * spare // 4
-            high = low + length
-            at: Image = np.polyval(bend, np.arange(low, high)).astype(np.float64)
-            left, right = _room(strength[low:high], at, others)
+            at: Image = np.polyval(bend, np.arange(low, low + length)).astype(np.float64)
+            left, right = _room(strength[low : low + length], at, others)
             if min(left, right) > best_px:
                 best_px = min(left, right)
                 start, stop = int(np.floor(at.min())) - left, int(np.ceil(at.max())) + right + 1
-                best = (low, high, max(start, 0), min(stop, strength.shape[1]))
+                best = (low, low + length, max(start, 0), min(stop, strength.shape[1]))
         if best_px >= _GOOD_HALF_WIDTH_PX:
             break
     return best, float(np.arctan(slope))
