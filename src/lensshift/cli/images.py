@@ -36,7 +36,7 @@ RegionOption = Annotated[
 ]
 KeyOption = Annotated[
     str | None,
-    typer.Option("--key", help="Array of an NPZ file; amplitude or distance of other files."),
+    typer.Option("--key", help="Array of an NPZ or HDF5 file; amplitude or distance of others."),
 ]
 FocalOption = Annotated[
     float | None,
@@ -97,7 +97,8 @@ def measured_image(
 ) -> Measured:
     """Read one image [row col] and what its file says about it; `distances` if it holds some."""
     from lensshift.io import load_burst, load_reconstruction, load_window
-    from lensshift.io.image_file import load_frames, load_named_arrays
+    from lensshift.io.foreign_arrays import has_names, load_named_arrays
+    from lensshift.io.image_file import load_frames
 
     kind, named = kind_of(path), key or ("distance" if distances else None)
     if kind is Kind.BURST:
@@ -114,7 +115,7 @@ def measured_image(
             raise DataError(f"expected {' or '.join(result.channels)}, got {name!r}", source=path)
         pitch = _pitch_of(result.grid, result.scale, path, pitch_mm)
         return Measured(result.channels[name].image, *pitch, scale=result.scale)
-    if path.suffix.lower() == ".npz":
+    if has_names(path):
         usual = "distance_m" if distances else "amplitude"
         image = _named(load_named_arrays(path), path, key, usual)
     else:
@@ -145,10 +146,12 @@ def _given_pitch(pitch_mm: str | None) -> tuple[Pitch, bool]:
 
 def keys_of(key: str | None, *paths: Path) -> tuple[str | None, ...]:
     """Return --key for each file in which things have names; refuse it if there is no such file."""
-    named = [path.suffix.lower() == ".npz" or kind_of(path) is not Kind.STACK for path in paths]
+    from lensshift.io.foreign_arrays import has_names
+
+    named = [has_names(path) or kind_of(path) is not Kind.STACK for path in paths]
     if key is not None and not any(named):
         files = " and ".join(map(str, paths))
-        raise typer.BadParameter(f"--key: arrays have names in NPZ files, not in {files}")
+        raise typer.BadParameter(f"--key: arrays have names in NPZ and HDF5 files, not in {files}")
     return tuple(key if has_names else None for has_names in named)
 
 

@@ -42,7 +42,7 @@ def info(current: Session, asked: _InfoOptions) -> None:
       lensshift info --devices
     """
     from lensshift.io import load_reconstruction
-    from lensshift.io.container_reader import is_hdf5, read_schema
+    from lensshift.io.container_reader import is_ours, read_schema
 
     if asked.devices:
         from lensshift.cli.devices import say_ports
@@ -58,7 +58,7 @@ def info(current: Session, asked: _InfoOptions) -> None:
 
         say_rig(current, file)
         return
-    schema = read_schema(file) if file.is_file() and is_hdf5(file) else None
+    schema = read_schema(file) if file.is_file() and is_ours(file) else None
     if (schema or "").startswith("lensshift-lens-field"):
         from lensshift.cli.lens_field import say_field
         from lensshift.io import load_lens_field

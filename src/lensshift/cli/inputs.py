@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 BurstArgument = Annotated[
     Path,
     typer.Argument(
-        help="A burst file, or an image stack (TIFF, NPY, NPZ, FITS, folder of images)."
+        help="A burst file, or an image stack (TIFF, NPY, NPZ, FITS, HDF5, folder of images)."
     ),
 ]
 PatternOption = Annotated[
@@ -40,7 +40,7 @@ class StackOptions:
         None, "Shifts of an image stack: CSV (row,col) or JSON, in LR px."
     )
     pitch_mm: str | None = option(None, "Pixel pitch of an image stack: one number, or row,col.")
-    key: str | None = option(None, "Name of the frames in an NPZ file.")
+    key: str | None = option(None, "Name of the frames in an NPZ or HDF5 file.")
     frame_axis: Literal["first", "last"] | None = option(
         None,
         "Where the frames lie in an array or a TIFF; default: first, if that can be.",
@@ -62,11 +62,11 @@ class Kind(Enum):
 def kind_of(path: Path) -> Kind:
     """Tell what a file or folder holds."""
     from lensshift.io.capture_file import is_capture
-    from lensshift.io.container_reader import is_hdf5, read_schema
+    from lensshift.io.container_reader import is_ours, read_schema
 
     if is_capture(path):
         return Kind.BURST
-    if path.is_dir() or not is_hdf5(path):
+    if path.is_dir() or not is_ours(path):
         return Kind.STACK
     schema = read_schema(path)
     for kind in (Kind.BURST, Kind.RECONSTRUCTION, Kind.SEQUENCE):

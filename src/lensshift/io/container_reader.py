@@ -20,8 +20,8 @@ from lensshift.io.reading import check_held, check_unpacked, reading, require_fi
 
 WRITTEN = "written"  # of `io.piecewise_file`
 OTHERS = (
-    "load_image_stack reads images, and arrays of other programs from NPZ: amplitude, distance_m, "
-    "valid ..."
+    "load_image_stack reads images, and arrays of other programs from NPZ and HDF5: amplitude, "
+    "distance_m, valid ..."
 )
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
@@ -193,7 +193,7 @@ def _member(group: Any, name: str) -> Any:
 def open_container(path: str | Path, schema: str) -> Iterator[Container]:
     """Open a file that follows the schema or an older one; a `DataError` gets the name of it."""
     name, _, newest = schema.rpartition("/")
-    with _opened(Path(path)) as container:
+    with opened(Path(path)) as container:
         declared = container.text("schema")
         found = re.fullmatch(rf"{re.escape(name)}/([1-9][0-9]{{0,3}})", declared)
         if found is None:
@@ -212,7 +212,7 @@ def open_container(path: str | Path, schema: str) -> Iterator[Container]:
 
 def read_schema(path: str | Path) -> str:
     """Return the schema that a file declares, as in "lensshift-burst/1"."""
-    with _opened(Path(path)) as container:
+    with opened(Path(path)) as container:
         return container.text("schema")
 
 
@@ -223,8 +223,20 @@ def is_hdf5(path: str | Path) -> bool:
         return file.read(len(_HDF5_SIGNATURE)) == _HDF5_SIGNATURE
 
 
+def is_ours(path: str | Path) -> bool:
+    """Tell whether a file is an HDF5 file of this package, and not of another program."""
+    if not is_hdf5(path):
+        return False
+    with reading(path), opened(Path(path), "") as root:
+        group: Any = root.group
+        for name in GROUP.split("/"):
+            group = _member(group, name) if hasattr(group, "keys") else None
+        return group is not None and "schema" in group.attrs
+
+
 @contextmanager
-def _opened(path: Path) -> Iterator[Container]:
+def opened(path: Path, inside: str = GROUP) -> Iterator[Container]:
+    """Open an HDF5 file and a group of it, "" for the whole."""
     import h5py
 
     if not is_hdf5(path):
@@ -234,7 +246,7 @@ def _opened(path: Path) -> Iterator[Container]:
     try:
         with reading(path, GROUP):
             group = file
-            for name in GROUP.split("/"):
+            for name in filter(None, inside.split("/")):
                 group = _member(group, name)
                 if not isinstance(group, h5py.Group):
                     problem = "the group is missing; not a file of lensshift"

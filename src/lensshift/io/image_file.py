@@ -6,7 +6,7 @@ import logging
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,6 @@ from lensshift.io.reading import (
     check_unpacked,
     reading,
     require_file,
-    unpacked_bytes,
 )
 
 TIFF_SUFFIXES = (".tif", ".tiff")
@@ -93,42 +92,10 @@ def load_frames(path: str | Path, *, colours: bool = False, alone: bool = False)
         raise DataError(f"expected {known} or .npz, got {suffix!r:.40}{cure}")
 
 
-def load_named_arrays(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Read the arrays of numbers and text of an NPZ file; warn of Python objects beside them.
-
-    DataError if it is damaged or holds nothing else.
-    """
-    require_file(path)
-    with reading(path):
-        _check_signature(path, b"PK", "an NPZ file")
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            check_unpacked(unpacked_bytes(archive), Path(path).stat().st_size, "")
-            found = {name: _without_pickles(archive, name) for name in archive.files}
-    arrays = {name: values for name, values in found.items() if values is not None}
-    if left := ", ".join(name for name in found if name not in arrays):
-        said = f"{left}: Python objects are not read; save arrays of numbers, text as JSON"
-        if not arrays:
-            raise DataError(said, source=path)
-        warn_quality(f"{path}: {said}")
-    return arrays
-
-
-def _without_pickles(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any] | None:
-    """Return an array, None for one of Python objects, which could run anything."""
-    with reading("", name):
-        try:
-            values = archive[name]
-        except ValueError as error:
-            if "Object arrays" in str(error):
-                return None
-            raise
-        if not isinstance(values, np.ndarray):
-            raise DataError("expected an array", field=name)
-        return values
-
-
 def _load_npy(path: str | Path) -> NDArray[Any]:
-    _check_signature(path, b"\x93NUMPY", "an NPY file")
+    with Path(path).open("rb") as file:
+        if file.read(6) != b"\x93NUMPY":
+            raise DataError("not an NPY file")
     try:
         values = np.load(path, mmap_mode="r", allow_pickle=False)  # refuses what is cut short
     except ValueError as error:
@@ -137,12 +104,6 @@ def _load_npy(path: str | Path) -> NDArray[Any]:
         raise DataError("expected numbers, got Python objects; save one array of them") from error
     check_unpacked(values.nbytes, Path(path).stat().st_size, "")
     return np.array(values)
-
-
-def _check_signature(path: str | Path, signature: bytes, kind: str) -> None:
-    with Path(path).open("rb") as file:
-        if file.read(len(signature)) != signature:
-            raise DataError(f"not {kind}")
 
 
 def _load_tiff(path: str | Path, *, colours: bool = False, alone: bool = False) -> NDArray[Any]:

@@ -15,17 +15,22 @@ from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.settings import parse_json
 from lensshift.core.types import Burst, OffsetSource
 from lensshift.io import image_file
+from lensshift.io.container_reader import is_ours
 from lensshift.io.fits_wcs import wcs_cards
+from lensshift.io.foreign_arrays import has_names, load_named_arrays
 from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.reading import reading
 
 FRAME_KEYS = ("amplitude", "frames", "LR")
+_NUMBER = re.compile("-?[0-9]+")  # in a name
 _GREATEST = 1e15  # beyond it sums of squares leave single precision
 # Frames of one scene vary 2 to 20 times less from one to the next than columns do.
 _ALIKE = 0.5
 _STACKS = ("distance_m", "valid")
-_PLAIN = ("offset_px", "offset_sigma_px", "affine", "stage_mm", "stage_commanded_mm", "time_s")
+_PLAIN = (
+    "offset_px", "offset_sigma_px", "affine", "stage_mm", "stage_commanded_mm", "time_s", "phasors",
+)  # fmt: skip
 _SCALARS: dict[str, Callable[[NDArray[Any]], Any]] = {
     "pitch_mm": lambda values: np.broadcast_to(values.astype(np.float64), (2,)),
     "modulation_hz": np.ndarray.tolist,
@@ -48,20 +53,21 @@ def load_image_stack(
 
     Parameters
     ----------
-    source : a multi-page TIFF, an NPY, NPZ or FITS file, a folder of images (sorted by the numbers
-        in their names), or the image files in order
+    source : a multi-page TIFF, an NPY, NPZ, FITS or HDF5 file, a folder of images (sorted by the
+        numbers in their names), or the image files in order
     offsets : [frame 2] (row, col) in LR pixels, or the CSV or JSON file that holds them (see
         `load_offsets`); None takes `offset_px` of an NPZ file, or leaves them to `register`
     pitch_mm : pixel pitch, one number or (row, col); None takes `pitch_mm` of an NPZ file, the
         pixel size of a TIFF of ImageJ, OME or this package, or 1
-    key : name of the array in an NPZ file; None looks for amplitude, frames, LR, or the only stack
+    key : name of the array in an NPZ or HDF5 file; None looks for amplitude, frames, LR, the only
+        stack, or images whose names differ by a number alone
     frame_axis : axis of the frames in NPY and NPZ arrays, -1 for [row col frame]; None: the first,
         unless without offsets the last one seems to be it, which is refused
     modulation_hz : modulation frequency, or all of them
     offset_source : where the offsets come from; None: as the file says, else "planned", or
         "unknown" where there are none
 
-    An NPZ file may also hold the other fields of `Burst` under their names. Pixels that are not
+    NPZ and HDF5 may also hold the other fields of `Burst` under their names. Pixels that are not
     finite are not valid.
 
     Raises
@@ -95,8 +101,8 @@ def load_stack_fields(
     """Read the fields of `Burst` in image files, at least `amplitude`; see `load_image_stack`."""
     if isinstance(source, str | Path):
         path = Path(source)
-        if path.suffix.lower() == ".npz":
-            return _npz_fields(path, key, frame_axis)
+        if has_names(path) and not (path.is_file() and is_ours(path)):
+            return _named_fields(path, key, frame_axis)
         if not path.is_dir():
             frames = image_file.load_frames(path, colours=frame_axis == -1)
             return _plain_fields(_stack(frames, frame_axis, path), path)
@@ -131,20 +137,22 @@ def _images_in(folder: Path) -> list[Path]:
         if not images:
             raise DataError(f"the folder holds no image ({', '.join(image_file.IMAGE_SUFFIXES)})")
 
-    def natural(path: Path) -> list[tuple[bool, int, str]]:  # frame_2 before frame_10
-        parts = re.findall(r"([0-9]+)|([^0-9]+)", path.name)
-        return [(not digits, int(digits or 0), text) for digits, text in parts]
-
-    images = sorted(images, key=natural)
+    images = sorted(images, key=lambda path: _natural(path.name))
     _warn_of_series(folder, images)
     return images
+
+
+def _natural(name: str) -> list[tuple[bool, int, str]]:
+    """Return what sorts names by the numbers in them: frame_2 before frame_10."""
+    parts = re.findall(r"([0-9]+)|([^0-9]+)", name)
+    return [(not digits, int(digits or 0), text) for digits, text in parts]
 
 
 def _warn_of_series(folder: Path, images: list[Path]) -> None:
     """Warn of images that share their numbers, as amp_0, amp_1, depth_0 and depth_1."""
     numbers: dict[str, list[str]] = {}
     for path in images:
-        name = re.sub("[0-9]+", "#", path.name)
+        name = _NUMBER.sub("#", path.name)
         numbers.setdefault(name, []).append("-".join(re.findall("[0-9]+", path.name)))
     first, *others = numbers.values()
     if len(first) > 1 and others and all(each == first for each in others):
@@ -237,8 +245,10 @@ def _usable(frames: NDArray[Any], path: Path, field: str = "") -> NDArray[Any]:
     return frames
 
 
-def _npz_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[str, Any]:
-    arrays = image_file.load_named_arrays(path)
+def _named_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[str, Any]:
+    arrays = load_named_arrays(path, (*_PLAIN, *_SCALARS, *NAMES))
+    if key is None:
+        arrays = _joined(arrays)
     name = _frames_name(path, arrays, key)
     if frame_axis is None and "offset_px" in arrays:
         frame_axis = 0
@@ -248,7 +258,7 @@ def _npz_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[str
         if stack in arrays and stack != name:
             fields[stack] = _stack(arrays[stack], frame_axis, path, stack)
     _mark_unmeasured(fields)
-    _warn_of_unread(path, arrays, name)
+    _warn_of_unread(path, arrays, name, chosen=key is not None)
     fields |= {plain: arrays[plain] for plain in _PLAIN if plain in arrays}
     for scalar, convert in _SCALARS.items():
         if scalar in arrays:
@@ -259,14 +269,31 @@ def _npz_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[str
     return fields if intrinsics is None else fields | {"intrinsics": intrinsics}
 
 
-def _warn_of_unread(path: Path, arrays: dict[str, NDArray[Any]], name: str) -> None:
-    """Warn of stacks beside the frames that nothing is done with, as distances of another name."""
-    read = {name, *_STACKS, "flying"}  # that of the truth of a simulation
-    unread = [one for one in arrays if one not in read and arrays[one].shape == arrays[name].shape]
-    if unread:
+def _joined(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return arrays [row col] whose names differ by a number alone as the frames that they are."""
+    images = [one for one, v in arrays.items() if v.ndim == 2 and one not in _PLAIN]
+    kinds = {(_NUMBER.sub("#", one), arrays[one].shape, arrays[one].dtype) for one in images}
+    if len(images) < 2 or len(kinds) > 1 or any(v.ndim > 2 for v in arrays.values()):
+        return arrays
+    others = {one: v for one, v in arrays.items() if one not in images}
+    return others | {FRAME_KEYS[1]: np.stack([arrays[one] for one in sorted(images, key=_natural)])}
+
+
+def _warn_of_unread(
+    path: Path, arrays: dict[str, NDArray[Any]], name: str, *, chosen: bool
+) -> None:
+    """Warn of what nothing is done with, as distances or shifts of another name.
+
+    Where the frames were chosen, stacks of other shapes are those that were not.
+    """
+    known = {name, *_STACKS, *_PLAIN, *_SCALARS, *NAMES, "flying", "truth"}  # of simulations
+    shape = arrays[name].shape
+    left = [one for one, v in arrays.items() if not chosen or v.ndim < 3 or v.shape == shape]
+    if unread := [one for one in left if one not in known]:
         warn_quality(
-            f"{path}: nothing is done with {', '.join(unread)}; distances are read from "
-            "distance_m, in metres, and which pixels count from valid",
+            f"{path}: nothing is done with {', '.join(unread):.300}; distances are read from "
+            "distance_m, in metres, which pixels count from valid, shifts from offset_px, and the "
+            "other fields of Burst by their names",
             4,
         )
 

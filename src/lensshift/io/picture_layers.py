@@ -87,9 +87,9 @@ def napari_layers(value: Burst | Reconstruction) -> list[LayerTuple]:
 
 def napari_reader(path: str | list[str]) -> Callable[[Any], list[LayerTuple]] | None:
     """Return what reads a burst or result file for napari, or None if this is none of ours."""
-    from lensshift.io.container_reader import is_hdf5
+    from lensshift.io.container_reader import is_ours
 
-    if not isinstance(path, str) or not Path(path).is_file() or not is_hdf5(Path(path)):
+    if not isinstance(path, str) or not Path(path).is_file() or not is_ours(path):
         return None
     return _read_layers
 
