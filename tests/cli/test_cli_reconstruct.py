@@ -168,7 +168,7 @@ def test_image_stack_with_offsets(call: Call, fake: FakeReconstruct, tmp_path: P
         (["--prior-weight", "heavy"], '"auto" or "cross-validation", got \'heavy\''),
         (["--prior-weight", "-1"], "got '-1'"),
         (["--prior-weight", "nan"], "got 'nan'"),
-        (["--frames", "0;2"], "expected numbers as in 0,2,8,10"),
+        (["--frames", "0;2"], "expected numbers as in 0,2,8,10, each once"),
         (["--psf-sigma-px", "-1"], "Invalid value for '--psf-sigma-px'"),
         (["--psf-sigma-px", "wide"], "expected auto or a number of LR px"),
         (["--fill-factor", "1.5"], "Invalid value for '--fill-factor'"),

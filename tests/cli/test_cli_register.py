@@ -89,6 +89,22 @@ def test_register_needs_no_offsets(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.offset_px, OFFSETS - OFFSETS.mean(axis=0), atol=0.04)
 
 
+def test_frames_that_are_left_out_do_not_spoil_the_shifts_of_the_others(tmp_path: Path) -> None:
+    frames = waves(OFFSETS, (20, 26))
+    alien = np.random.default_rng(3).random((1, 20, 26))
+    np.save(tmp_path / "a.npy", np.concatenate([alien, frames]))
+    found = answer(call, "reconstruct", tmp_path / "a.npy", "--frames", "1,2,3")
+    assert found["warnings"] == []
+    wrong = np.array(found["offset_px"])[1:] - OFFSETS
+    np.testing.assert_allclose(wrong, np.broadcast_to(wrong[0], (3, 2)), atol=0.02)
+    assert call("register", tmp_path / "a.npy", "--frames", "1,2,3").exit_code == 0
+    both = load_burst(tmp_path / "a_registered.nc").offset_px
+    np.testing.assert_array_equal(both, found["offset_px"])
+    assert call("reconstruct", tmp_path / "a.npy", "--frames", "2").exit_code == 0
+    twice = call("reconstruct", tmp_path / "a.npy", "--frames", "1,1")
+    assert "each once" in " ".join(twice.stderr.split())
+
+
 @pytest.mark.usefixtures("drawn")
 def test_a_bare_stack_is_reconstructed(reference_dir: Path, tmp_path: Path) -> None:
     with np.load(reference_dir / "real_sequences" / "mdsp_eia.npz") as data:

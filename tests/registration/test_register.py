@@ -347,6 +347,29 @@ def test_a_frame_that_shows_hardly_anything_says_nothing(
     assert found.valid[lost].any() == (given and share > 0.0)
 
 
+def test_frames_that_are_not_asked_for_spoil_nothing() -> None:
+    """A frame of another scene is left out where it lies first, too, and no warning is about it."""
+    rng = np.random.default_rng(8)
+    frames = waves(OFFSETS) + 1e-3 * rng.standard_normal(waves(OFFSETS).shape)
+    stack = np.concatenate([3 * rng.random((1, *frames.shape[1:])), frames])
+    with warnings.catch_warnings(action="error"):
+        found = register(Burst.from_arrays(stack, pitch_mm=PITCH_MM), frames=[1, 2, 3, 4, 5])
+    wrong = found.offset_px[1:] - OFFSETS
+    np.testing.assert_allclose(wrong, np.broadcast_to(wrong[0], (5, 2)), atol=3e-3)
+    assert np.all(found.offset_sigma_px[0] > 1.0)
+    assert np.all(found.offset_sigma_px[1] == 0.0)
+    stack[5] = 3 * stack[5]
+    with pytest.warns(QualityWarning) as said:
+        register(Burst.from_arrays(stack, pitch_mm=PITCH_MM), frames=[1, 2, 3, 4, 5])
+    assert "in frame 5. Divide" in str(said[0].message)
+
+
+@pytest.mark.parametrize("frames", [[0, 9], [-1, 0, 1], [1, 1, 2]])
+def test_frames_that_are_not_there_are_refused(frames: list[int]) -> None:
+    with pytest.raises(ValueError, match="expected frames from 0 to 4, each once"):
+        register(burst_of(waves(OFFSETS)), frames=frames)
+
+
 @pytest.mark.parametrize(("method", "within_px"), [("auto", 0.02), ("gradient", 0.05)])
 def test_frames_of_other_brightness(method: str, within_px: float) -> None:
     burst, true_px = taken(scene("four boxes"))

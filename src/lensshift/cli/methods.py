@@ -23,6 +23,9 @@ MethodOption = Annotated[
 WeightOption = Annotated[
     str, typer.Option(help='Weight of the prior: a number, "auto" or "cross-validation".')
 ]
+FramesOption = Annotated[
+    str | None, typer.Option(help="Frames to use, as in 0,2,8,10; default: all.")
+]
 
 
 def check_method(method: str) -> None:
@@ -78,12 +81,11 @@ def parse_frames(text: str | None) -> tuple[int, ...] | None:
     """Return the numbers of frames, None: all of them."""
     if text is None:
         return None
-    try:
-        return tuple(int(part) for part in text.split(","))
-    except ValueError as error:
-        raise typer.BadParameter(
-            f"expected numbers as in 0,2,8,10, got {text!r}", param_hint="--frames"
-        ) from error
+    parts = text.replace(" ", "").split(",")
+    if not all(map(str.isdecimal, parts)) or len(set(parts)) < len(parts):
+        problem = f"expected numbers as in 0,2,8,10, each once, got {text!r}"
+        raise typer.BadParameter(problem, param_hint="--frames")
+    return tuple(map(int, parts))
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,7 +74,7 @@ class ReconstructOptions:
         "--option",
         metavar="NAME=VALUE",
     )
-    frames: str | None = option(None, "Frames to use, as in 0,2,8,10; default: all.")
+    frames: methods.FramesOption = None
     noise_sigma: float | None = option(None, "Noise of one LR pixel; default: estimated.", min=0.0)
     fill_factor: float | None = option(
         None, "Light-sensitive linear share of a pixel.", min=0.0, max=1.0
@@ -143,8 +143,8 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
         return
     files = _plan(asked)
     burst = inputs.load_input_burst(asked.burst, asked.stack, to_register=True)
-    burst, known = _located(current, burst, asked)
     burst = _looking(burst, asked)
+    burst, known = _located(current, burst, asked, settings["frames"])
     if asked.psf_sigma_px is not None or asked.fill_factor is not None:
         # That of a calibration would hold the pixel as well.
         known["psf_sigma_px"] = asked.psf_sigma_px
@@ -168,13 +168,14 @@ def _looking(burst: Burst, asked: ReconstructOptions) -> Burst:
 
 
 def _located(
-    current: Session, burst: Burst, asked: ReconstructOptions
+    current: Session, burst: Burst, asked: ReconstructOptions, frames: Sequence[int] | None
 ) -> tuple[Burst, dict[str, Any]]:
     """Return the burst and settings with what is known of its shifts, its lens and the rig."""
     known: dict[str, Any] = {}
     lens_field, calibration = asked.lens_field, asked.calibration
-    if burst.offset_source == "unknown" and calibration is None:
-        burst = with_shifts(current, burst, asked.motion, photometric=asked.photometric)
+    if burst.offset_source == "unknown" and calibration is None and len(frames or "all") > 1:
+        told = picked(asked, "motion photometric") | {"frames": frames}
+        burst = with_shifts(current, burst, **told)
     elif asked.motion != "auto":
         raise ValueError("--motion is for unknown shifts; lensshift register finds others anew")
     if calibration is not None:
@@ -231,7 +232,8 @@ def _reconstruct(
     source, points, count = asked.burst, asked.points, burst.frame_count
     told = f"{count} frames of {rows} x {cols} px, offsets {burst.offset_source}"
     current.say(f"{source}: {told if count > 1 else f'one frame of {rows} x {cols} px'}")
-    if (little := _adds_little(burst)) and not settings.keys() & {"shift_field", "lens_field"}:
+    used = burst.select(settings["frames"] or range(count))
+    if (little := _adds_little(used)) and not settings.keys() & {"shift_field", "lens_field"}:
         current.warn(little)
     start_s = time.perf_counter()
     progress = Progress(f"reconstructing with {settings['method']}", preparing=True)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from lensshift.cli import inputs
+from lensshift.cli import inputs, methods
 from lensshift.cli.session import Session, Waiting, picked
 from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from lensshift.core.types import Burst
-    from lensshift.registration.register import Motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +28,7 @@ class _RegisterOptions:
     reference: int = option(0, "Frame whose offset is kept.", min=0)
     photometric: bool = option(False, "Allow frames to differ by a factor and a constant.")
     use_given: bool = option(False, "Weigh the burst's own offsets by their errors.")
+    frames: methods.FramesOption = None
     stack: inputs.StackOptions = field(default_factory=inputs.StackOptions)
 
 
@@ -51,6 +51,7 @@ def register(current: Session, asked: _RegisterOptions) -> None:
     inputs.check_files((asked.burst, asked.stack.offsets), (target,))
     burst = inputs.load_input_burst(asked.burst, asked.stack, to_register=True)
     told = picked(asked, "method motion channel reference photometric use_given")
+    told |= {"frames": methods.parse_frames(asked.frames)}
     found = find_shifts(burst, **told)
     save_burst(found, target)
     current.result["input"] = asked.burst
@@ -58,12 +59,17 @@ def register(current: Session, asked: _RegisterOptions) -> None:
     current.wrote(target)
 
 
-def with_shifts(current: Session, burst: Burst, motion: Motion, *, photometric: bool) -> Burst:
-    """Return a burst of unknown shifts with those that its frames tell, and say them."""
+def with_shifts(current: Session, burst: Burst, **told: Any) -> Burst:
+    """Return a burst of unknown shifts with those that its frames tell, and say them.
+
+    Parameters
+    ----------
+    told : options of `lensshift.register`
+    """
     from lensshift.registration import register as find_shifts
 
     with Waiting("finding the shifts"):
-        found = find_shifts(burst, motion=motion, photometric=photometric)
+        found = find_shifts(burst, **told)
     current.say("no shifts are given; the frames say:")
     _say(current, found)
     return found

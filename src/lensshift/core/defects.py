@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lensshift.core.arrays import Array, Mask
@@ -117,6 +119,7 @@ def blank_frames(frames: Array, valid: Mask | None = None) -> Mask:
     ----------
     frames : [frame row col], real or complex
     valid : [frame row col], None: all pixels are
+    names : numbers that the frames are told by, None: their own
     """
     used = np.ones(frames.shape, np.bool_) if valid is None else valid
     shown = [one[seen] for one, seen in zip(frames, used, strict=True)]
@@ -124,15 +127,16 @@ def blank_frames(frames: Array, valid: Mask | None = None) -> Mask:
 
 
 def doubts_about_frames(
-    frames: Array, valid: Mask | None = None, *, photometric: bool
+    frames: Array, valid: Mask | None, names: Sequence[int], *, photometric: bool
 ) -> list[str]:
     """Say what frames of one still scene by one camera can hardly be like.
 
     Parameters
     ----------
+    names : numbers that the frames are told by
     photometric : whether their brightness may differ
     """
-    brightness = "" if photometric else unequal_brightness(frames, valid)
+    brightness = "" if photometric else unequal_brightness(frames, valid, names)
     return [text for text in (colour_mosaic(frames, valid), brightness) if text]
 
 
@@ -146,17 +150,20 @@ def copied_frames(frames: Array) -> dict[int, int]:
     return found
 
 
-def repeated_frame(frames: Array) -> str:
-    """Say that a frame [frame row col] is a copy of another one; or ""."""
+def repeated_frame(frames: Array, names: Sequence[int] | None = None) -> str:
+    """Say that a frame [frame row col] is a copy of another one; or "". Their names: as below."""
+    names = range(len(frames)) if names is None else names
     for number, before in copied_frames(frames).items():
         return (
-            f"frame {number} is a copy of frame {before}, noise and all: it tells nothing new, "
-            "and its shift is that of the other one. Was it handed out twice?"
+            f"frame {names[number]} is a copy of frame {names[before]}, noise and all: it tells "
+            "nothing new, and its shift is that of the other one. Was it handed out twice?"
         )
     return ""
 
 
-def unequal_brightness(frames: Array, valid: Mask | None = None) -> str:
+def unequal_brightness(
+    frames: Array, valid: Mask | None = None, names: Sequence[int] | None = None
+) -> str:
     """Say that the brightness of frames of one still scene differs, as by exposure; or "".
 
     Parameters
@@ -177,7 +184,8 @@ def unequal_brightness(frames: Array, valid: Mask | None = None) -> str:
     )
     if not np.ptp(mean) > OTHER_LIGHT * np.median(spread):
         return ""
-    dark, bright = (int(numbers[pick(mean)]) for pick in (np.argmin, np.argmax))
+    names = range(len(frames)) if names is None else names
+    dark, bright = (names[int(numbers[pick(mean)])] for pick in (np.argmin, np.argmax))
     said = (
         f"the brightness of the frames differs: {mean.min():.4g} on average in frame {dark}, "
         f"{mean.max():.4g} in frame {bright}. Divide them by their exposure"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, get_args
@@ -43,6 +43,7 @@ def register(
     motion: Motion = "auto",
     photometric: bool = False,
     use_given: bool = False,
+    frames: Sequence[int] | None = None,
 ) -> Burst:
     """Return the burst with its offsets found from the frames themselves.
 
@@ -66,6 +67,8 @@ def register(
     photometric : whether frames may differ by a factor and an additive constant
     use_given : whether the burst's own offsets count as measurements with `offset_sigma_px`
         (method "auto" only)
+    frames : numbers of the frames whose shifts are found, by default all; the others are left out
+        as those that show nothing are
 
     Returns
     -------
@@ -85,20 +88,20 @@ def register(
         did not settle, or a frame has less than half of the valid pixels of others.
     """
     _check(burst, method, motion, reference, use_given)
-    frames = frames_of(burst, channel)
-    everything, kept = burst, _seen(burst, frames)
+    images = frames_of(burst, channel)
+    everything, kept = burst, _seen(burst, images, frames)
     if len(kept) < burst.frame_count:
-        burst, frames = burst.select(kept.tolist()), frames[kept]
+        burst, images = burst.select(kept.tolist()), images[kept]
         reference = int(np.searchsorted(kept, reference)) % len(kept)
-    stuck = stuck_pixels(np.abs(frames) if np.iscomplexobj(frames) else frames, burst.valid)
+    stuck = stuck_pixels(np.abs(images) if np.iscomplexobj(images) else images, burst.valid)
     valid = burst.valid if stuck is None else burst.valid & ~stuck
-    doubts = [repeated_frame(frames)]
+    doubts = [repeated_frame(images, kept.tolist())]
     if channel != "distance":
-        doubts += doubts_about_frames(frames, valid, photometric=photometric)
+        doubts += doubts_about_frames(images, valid, kept.tolist(), photometric=photometric)
     for said in filter(None, doubts):
         warn_quality(said)
-    frames /= np.max(np.abs(frames), where=valid, initial=0.0) or 1.0  # their squares exist
-    whole = blocks.filled(frames, valid)
+    images /= np.max(np.abs(images), where=valid, initial=0.0) or 1.0  # their squares exist
+    whole = blocks.filled(images, valid)
     given_px = burst.offset_px - burst.offset_px[reference]
     known, affine, factor = bool(np.any(given_px)), None, 1.0
     phase_px = phase_shifts(whole, reference)
@@ -108,25 +111,24 @@ def register(
         run: Run = partial(gradient_shifts, reference=reference, photometric=photometric)
         if method == "auto":
             run = partial(blocks.likely_where_telling, reference=reference, photometric=photometric)
-        elif np.iscomplexobj(frames):
-            frames = np.abs(frames)
-        fit = _from_best_start(run, frames, valid, given_px, phase_px, keep_given=use_given)
+        elif np.iscomplexobj(images):
+            images = np.abs(images)
+        fit = _from_best_start(run, images, valid, given_px, phase_px, keep_given=use_given)
         if method == "gradient":
-            fit = _widened(run, frames, valid, fit)
+            fit = _widened(run, images, valid, fit)
         else:
             told_px = burst.offset_sigma_px if use_given else None
             if told_px is not None:
                 told_px = np.hypot(told_px, told_px[reference])  # of differences from it
             alike = _alike(whole, fit, photometric)
             fit = better_shifts(fit, alike, valid, reference)
-            if apart := _scatter_of_few(frames, valid, fit, reference, photometric):
+            if apart := _scatter_of_few(images, valid, fit, reference, photometric):
                 factor = apart.factor
                 fit = replace(fit, covariance_px2=apart.widened(fit.covariance_px2))
             fit = with_given(fit, given_px, told_px, said=known)
             fit, affine = _turned(fit, alike, valid, motion, reference)
-    rivals_px = np.zeros_like(given_px)
-    if method == "phase" or not known:
-        rivals_px = rival_shifts(whole, fit.offset_px, reference)
+    alone = method == "phase" or not known
+    rivals_px = rival_shifts(whole, fit.offset_px, reference) if alone else np.zeros_like(given_px)
     sigma_px = np.hypot(fit.sigma_px, rivals_px)
     _warn_if_poor(sigma_px, rivals_px, kept, converged=fit.converged, apart=factor)
     offset_px = fit.offset_px + burst.offset_px[reference]
@@ -136,12 +138,16 @@ def register(
     return replace(everything, **_of_all(everything, kept, found), offset_source="registered")
 
 
-def _seen(burst: Burst, frames: Array) -> NDArray[np.intp]:
-    """Return the numbers of the frames whose valid pixels tell a shift; warn of others."""
-    count = burst.valid.sum(axis=(1, 2))
-    few = count < max(1.0, blocks.LEAST_VALID * count.max())
-    blank = blank_frames(frames, burst.valid)
-    kept = np.flatnonzero(~few & ~blank)
+def _seen(burst: Burst, images: Array, frames: Sequence[int] | None) -> NDArray[np.intp]:
+    """Return the numbers of those frames whose valid pixels tell a shift; warn of others."""
+    numbers = np.arange(burst.frame_count)
+    asked = np.isin(numbers, numbers if frames is None else frames)
+    if frames is not None and asked.sum() < len(frames):
+        raise ValueError(f"expected frames from 0 to {numbers[-1]}, each once, got {list(frames)}")
+    count = burst.valid.sum(axis=(1, 2)) * asked
+    few = (count < max(1.0, blocks.LEAST_VALID * count.max())) & asked
+    blank = blank_frames(images, burst.valid) & asked
+    kept = np.flatnonzero(asked & ~few & ~blank)
     if len(kept) < 2:
         said = f"expected valid pixels that differ in at least 2 frames, got {len(kept)}"
         raise ValueError(f"{said}; give the shifts")
