@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
+from scipy import ndimage
 from stand_in import Call, FakeReconstruct, Refused, answer
 
 from lensshift.core.types import Burst, Reconstruction
@@ -224,6 +225,24 @@ def test_integers_with_peak_one_get_a_warning(call: Call, tmp_path: Path) -> Non
     done = call("evaluate", "fidelity", tmp_path / "b.png", tmp_path / "a.png", "--peak", 255)
     expected = psnr_db(image + 2, image, peak=255)
     assert f"PSNR  {expected:.3f} dB" in done.stdout
+
+
+@pytest.mark.parametrize(("away_px", "said"), [((0.6, -0.4), True), ((0.0, 0.0), False)])
+def test_an_image_beside_the_truth_is_told(
+    call: Call, tmp_path: Path, away_px: tuple[float, float], said: bool
+) -> None:
+    rng = np.random.default_rng(6)
+    scene = ndimage.gaussian_filter(rng.random((40, 48)), 2.0)
+    scene = (scene - scene.min()) / np.ptp(scene)
+    noise = 0.01 * rng.standard_normal(scene.shape)
+    np.save(tmp_path / "truth.npy", scene)
+    np.save(tmp_path / "image.npy", ndimage.shift(scene, away_px, mode="nearest") + noise)
+    found = answer(call, "evaluate", "fidelity", tmp_path / "image.npy", tmp_path / "truth.npy")
+    told = [text for text in found["warnings"] if "from the truth: brought back" in text]
+    assert len(told) == len(found["warnings"]) == said
+    if said:
+        row, col = told[0].split("(")[1].split(")")[0].split(", ")
+        np.testing.assert_allclose((float(row), float(col)), away_px, atol=0.1)
 
 
 @pytest.mark.parametrize(

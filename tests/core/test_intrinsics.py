@@ -157,6 +157,12 @@ def test_flying_pixels_stay_out_unless_they_are_asked_for() -> None:
     )
 
 
+def test_a_camera_matrix_is_refused_with_what_it_becomes() -> None:
+    matrix = np.array([[50.0, 0, 2], [0, 51, 3], [0, 0, 1]])
+    with pytest.raises(DataError, match=r"intrinsics: expected Pinhole\(K\[0, 0\], .* ndarray"):
+        Burst.from_arrays(np.ones((1, 5, 5)), intrinsics=matrix)  # type: ignore[arg-type]
+
+
 def test_points_need_distances_and_intrinsics() -> None:
     with pytest.raises(ValueError, match="distance channel"):
         make_result(distance_m=None).point_cloud()

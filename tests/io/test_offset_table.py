@@ -60,6 +60,11 @@ def test_tables_as_other_programs_write_them(tmp_path: Path, content: str) -> No
         )
 
 
+def test_rows_are_numbered_as_pandas_writes_them(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(",row,col\n1,2.0,3.0\n0,0.5,1.0\n")
+    np.testing.assert_array_equal(load_offsets(tmp_path / "a.csv").offset_px, [[0.5, 1], [2, 3]])
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lensshift.cli.chart import chart
 from lensshift.cli.depth import depth, stray_light
@@ -17,7 +18,12 @@ from lensshift.cli.star import frc, resolution, star, zone
 from lensshift.cli.verbs import argument, option, verb, verb_group
 from lensshift.core.errors import DataError, QualityWarning
 
+if TYPE_CHECKING:
+    from lensshift.core.arrays import Array
+
 evaluate = verb_group()
+
+_AT_HOME = 0.8  # of the error, 2 dB: a place of which the picture speaks, not chance
 
 for one in (mtf, chart, gain, gradient, star, zone, frc, resolution, depth, stray_light):
     evaluate.command(one.__name__.replace("_", "-"))(one)
@@ -74,8 +80,34 @@ def fidelity(current: Session, asked: _FidelityOptions) -> None:
         told = f"the truth goes up to {np.nanmax(truth):.5g} but white is {peak:g}; set --peak"
         warnings.warn(told, QualityWarning, stacklevel=1)
     found = asdict(measure(values, truth, peak=peak, border_px=asked.border_px))
+    _warn_if_apart(values, truth, asked.border_px, found["rmse"])
     current.tell(asked, "image truth peak border_px")
     current.result |= found
     current.say(f"PSNR  {found['psnr_db']:.3f} dB (peak {peak:g})")
     current.say(f"SSIM  {found['ssim']:.4f}")
     current.say(f"RMSE  {found['rmse']:.6g}")
+
+
+def _warn_if_apart(values: Array, truth: Array, border_px: int, rmse: float) -> None:
+    """Warn of an image that lies beside the truth, as where shifts were found from nothing."""
+    import numpy as np
+    from scipy.ndimage import shift
+
+    from lensshift.evaluation.fidelity import rmse as measure
+    from lensshift.registration import phase_correlation
+
+    away_px = phase_correlation(truth, values)
+    reach = int(np.ceil(np.abs(away_px).max()))
+    if 2 * (border_px + reach) >= min(values.shape):
+        return  # of nothing alike
+    moved = shift(values.astype(np.float64), -away_px)
+    there = measure(moved, truth, border_px=border_px + reach)
+    if there < _AT_HOME * measure(values, truth, border_px=border_px + reach):
+        row, col = away_px
+        warnings.warn(
+            f"the image lies ({row:+.2f}, {col:+.2f}) of its pixels (row, col) from the truth: "
+            f"brought back its RMSE is {there:.6g}, not {rmse:.6g}. Shifts that are found without "
+            "any that were told have a mean of 0: give --offsets, or the truth at their mean",
+            QualityWarning,
+            stacklevel=1,
+        )

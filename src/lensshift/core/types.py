@@ -122,7 +122,7 @@ class Burst(Shown, AsDataset, AsTable):
         if self.phasors is not None:
             settle["phasors"] = checks.as_phasors(self.phasors, settle["modulation_hz"], valid)
         if self.intrinsics is not None:
-            self.intrinsics.check_fits(self.grid.shape)
+            checks.check_intrinsics(self.intrinsics, self.grid.shape)
         for name, values in self.raw.items():
             if np.ndim(values) < 1 or len(values) != count:
                 problem = f"expected one entry a frame, got shape {np.shape(values)}"

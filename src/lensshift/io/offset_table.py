@@ -71,6 +71,8 @@ def _from_csv(text: str) -> OffsetTable:
     mark = next((mark for mark in ";\t" if mark in first), ",")
     lines = csv.reader((line for _, line in numbered), delimiter=mark, skipinitialspace=True)
     header = [name.strip().lower() for name in next(lines, [])]
+    if header[:1] == [""]:  # as pandas writes the numbers of its rows
+        header[0] = "frame"
     _check_header(header)
     rows: list[dict[str, float]] = []
     for cells, (number, _) in zip(lines, numbered[1:], strict=False):
