@@ -131,6 +131,19 @@ def test_info_of_a_stack_that_is_not_yet_a_burst(call: Call, tmp_path: Path) -> 
     assert (done.exit_code, done.stdout) == (1, "")
 
 
+def test_a_burst_whose_shifts_nobody_told_is_described_and_converted(
+    call: Call, tmp_path: Path
+) -> None:
+    np.save(tmp_path / "a.npy", np.arange(70.0).reshape(2, 5, 7))
+    for source, target in (("a.npy", "a.nc"), ("a.nc", "b.npz"), ("a.nc", "b.tif")):
+        done = call("convert", tmp_path / source, tmp_path / target)
+        assert done.exit_code == 0, done.output
+    for name in ("a.nc", "b.npz"):
+        assert "shifts      not told" in call("info", tmp_path / name).stdout
+        read = load_burst if name == "a.nc" else load_image_stack
+        assert read(tmp_path / name).offset_source == "unknown"
+
+
 def test_info_of_phasors_that_are_not_yet_a_burst(call: Call, tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.ones((2, 4, 5, 7), complex))
     assert "frames      4 of 5 x 7 px" in call("info", tmp_path / "a.npy").stdout

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from lensshift.core.grid import Grid
     from lensshift.core.types import Burst, Reconstruction
 
+_NO_SHIFTS = "shifts      not told: --offsets, or `lensshift reconstruct` finds them"
+
 
 @dataclass(frozen=True, slots=True)
 class _InfoOptions:
@@ -93,6 +95,15 @@ def _say_burst(current: Session, burst: Burst, heading: str) -> None:
     modulation = ", ".join(f"{hz:g} Hz" for hz in burst.frequencies_hz) or "not known"
     current.say(f"modulation  {modulation}{', phasors of each' * (burst.phasors is not None)}")
     current.say(f"looks       {view_text(view)}")
+    if burst.offset_source == "unknown":
+        current.say(_NO_SHIFTS)
+    else:
+        _say_offsets(current, burst)
+    for name, value in burst.meta.items():
+        current.say(f"meta        {name}: {value!s:.100}")
+
+
+def _say_offsets(current: Session, burst: Burst) -> None:
     current.say(f"offsets     {burst.offset_source}, (row, col) in px:")
     rows = [f"  {k:>4}  {row:+9.4f} {col:+9.4f}" for k, (row, col) in enumerate(burst.offset_px)]
     if burst.offset_sigma_px is not None:
@@ -100,8 +111,6 @@ def _say_burst(current: Session, burst: Burst, heading: str) -> None:
         rows = [row + sigma for row, sigma in zip(rows, sigmas, strict=True)]
     current.say_rows(rows)
     say_turns(current, burst)
-    for name, value in burst.meta.items():
-        current.say(f"meta        {name}: {value!s:.100}")
 
 
 def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) -> None:
@@ -120,7 +129,7 @@ def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) 
     current.result["missing"] = [name for name, told in known.items() if not told]
     _say_frames(current, frames, fields.get("distance_m"), fields.get("valid"))
     if not with_offsets:
-        current.say("shifts      not told: --offsets, or `lensshift reconstruct` finds them")
+        current.say(_NO_SHIFTS)
     told = "not told: --pitch-mm, if lengths matter"
     if with_pitch:
         told = stack.pitch_mm or "{:g} x {:g}".format(*fields["pitch_mm"])

@@ -75,28 +75,20 @@ def kind_of(path: Path) -> Kind:
     raise DataError(f"expected a burst or a reconstruction, got {schema!r:.80}", source=path)
 
 
-def load_input_burst(path: Path, options: StackOptions, *, to_register: bool = False) -> Burst:
-    """Read a burst file or an image stack, which need no offsets if they are still looked for."""
+def load_input_burst(path: Path, options: StackOptions) -> Burst:
+    """Read a burst file or an image stack, of which nobody may have told the offsets yet."""
     from lensshift.io import load_burst, load_image_stack
 
     pitch_mm = None if options.pitch_mm is None else parse_pitch_mm(options.pitch_mm)
     kind = kind_of(path)
-    if kind is Kind.STACK:
-        told = picked(options, "key modulation_hz") | {"pitch_mm": pitch_mm}
-        axis = FRAME_AXES[options.frame_axis]
-        burst = load_image_stack(path, options.offsets, frame_axis=axis, **told)
-    elif kind is not Kind.BURST:
+    if kind is Kind.BURST:
+        return _told_more(load_burst(path), path, options)
+    if kind is not Kind.STACK:
         raise DataError(f"expected a burst, got a {kind.value}", source=path)
-    else:
-        burst = _told_more(load_burst(path), path, options)
-    if burst.offset_source == "unknown" and not to_register:
-        raise DataError(
-            f"no shifts are given for {burst.frame_count} frames; give --offsets, a CSV or JSON "
-            "file, or find them: lensshift register",
-            field="offset_px",
-            source=path,
-        )
-    return burst
+    told = picked(options, "key modulation_hz") | {"pitch_mm": pitch_mm}
+    return load_image_stack(
+        path, options.offsets, frame_axis=FRAME_AXES[options.frame_axis], **told
+    )
 
 
 def _told_more(burst: Burst, path: Path, options: StackOptions) -> Burst:

@@ -142,7 +142,7 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
         reconstruct_windows(current, asked, settings)
         return
     files = _plan(asked)
-    burst = inputs.load_input_burst(asked.burst, asked.stack, to_register=True)
+    burst = inputs.load_input_burst(asked.burst, asked.stack)
     burst = _looking(burst, asked)
     burst, known = _located(current, burst, asked, settings["frames"])
     if asked.psf_sigma_px is not None or asked.fill_factor is not None:

@@ -49,7 +49,7 @@ def register(current: Session, asked: _RegisterOptions) -> None:
     target = asked.out or inputs.beside(asked.burst, "_registered.nc")
     inputs.check_netcdf(target, "a burst")
     inputs.check_files((asked.burst, asked.stack.offsets), (target,))
-    burst = inputs.load_input_burst(asked.burst, asked.stack, to_register=True)
+    burst = inputs.load_input_burst(asked.burst, asked.stack)
     told = picked(asked, "method motion channel reference photometric use_given")
     told |= {"frames": methods.parse_frames(asked.frames)}
     found = find_shifts(burst, **told)
