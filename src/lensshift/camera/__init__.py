@@ -8,7 +8,6 @@ from lensshift.camera.flat import QUARTER_SQUARE_PX, Sensor, Truth, pixel_means,
 from lensshift.camera.moving import RunningCamera
 from lensshift.camera.output import O3mImages
 from lensshift.camera.presets import camera_preset, preset_names
-from lensshift.camera.radiometry import closed_form_distance_std_m
 from lensshift.camera.settings import (
     Ambient,
     Drift,
@@ -53,7 +52,6 @@ __all__ = [
     "Truth",
     "Validity",
     "camera_preset",
-    "closed_form_distance_std_m",
     "grid_pattern_px",
     "named_pattern_px",
     "pixel_means",

@@ -1,8 +1,6 @@
-"""How many electrons a pixel collects, and what their noise does to distances."""
+"""How many electrons a pixel collects."""
 
 from __future__ import annotations
-
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,7 +8,7 @@ from numpy.typing import ArrayLike
 from lensshift.camera.settings import PlainOptics, TofCamera
 from lensshift.core.arrays import Floats
 from lensshift.core.grid import Grid
-from lensshift.core.units import SPEED_OF_LIGHT_MPS, unambiguous_range_m
+from lensshift.core.units import SPEED_OF_LIGHT_MPS
 from lensshift.optics.mtf import diffraction_mtf
 
 _PLANCK_J_S = 6.626_070_15e-34  # by definition
@@ -68,47 +66,6 @@ def relative_illumination(
     corner = 0.5 * np.hypot(*np.multiply(grid.shape, grid.pitch_mm)) / optics.focal_length_mm
     apart = brentq(lambda s: 1.0 - optics.vignetting - float(diffraction_mtf(s, 2.0)), 0.0, 2.0)
     return np.asarray(light * diffraction_mtf(apart * np.sqrt(square) / corner, 2.0))
-
-
-def closed_form_distance_std_m(
-    amplitude_electrons: ArrayLike,
-    mean_electrons: ArrayLike,
-    modulation_hz: float,
-    *,
-    read_noise_electrons: float = 0.0,
-    taps: Literal[1, 2] = 2,
-) -> Floats:
-    """Return the standard deviation of distances from four phases, for little noise.
-
-        std = c / (4 pi f) * sqrt(mean + read noise^2) / (amplitude * sqrt(2 taps))
-
-    The propagation of errors through arctan((D1 - D3) / (D0 - D2)). At low signal, amplitude
-    below about ten times the root, real noise is larger.
-
-    Parameters
-    ----------
-    amplitude_electrons : of the oscillation of one tap with the phase, a quarter of its swing
-        over D0 - D2 for two taps
-    mean_electrons : of one tap, all light and the dark current together, before any suppression
-    read_noise_electrons : of one tap
-    taps : 2: A - B is used, 1: only A
-
-    Raises
-    ------
-    ValueError
-        If an amplitude is not positive, a mean or noise is negative, or there are other taps.
-
-    Source: Lange, 3D time-of-flight distance measurement, PhD thesis, Siegen (2000).
-    """
-    amplitude = np.asarray(amplitude_electrons, dtype=np.float64)
-    mean = np.asarray(mean_electrons, dtype=np.float64)
-    if not np.all(amplitude > 0) or not np.all(mean >= 0) or not read_noise_electrons >= 0:
-        raise ValueError("expected amplitudes above 0, means and read noise of at least 0")
-    if taps not in (1, 2):
-        raise ValueError(f"expected 1 or 2 taps, got {taps}")
-    range_m = unambiguous_range_m(modulation_hz)
-    phase_rad = np.sqrt(mean + read_noise_electrons**2) / (amplitude * np.sqrt(2.0 * taps))
-    return np.asarray(phase_rad * range_m / (2.0 * np.pi))
 
 
 def _electrons_per_exitance(camera: TofCamera) -> float:

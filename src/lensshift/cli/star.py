@@ -26,18 +26,22 @@ LevelsOption = Annotated[
 _LEVELS = (0.5, 0.3, 0.1)  # of contrast, where curves are read off by custom
 
 
-@dataclass(frozen=True, slots=True)
-class _StarOptions:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _PatternOptions:
     of: images.ImageOptions
-    cycles: int = option(MISSING, "Bright spokes of the star.", min=1)
     center_px: CenterOption = None
-    radius: str | None = option(None, "Rings used, from,to, in the unit of the pitch.")
-    profile: Profile = option("sine", "How the star was printed.")
     levels: LevelsOption = None
-    sectors: int = option(0, "Directions measured apart.", min=0)
     photo: images.PhotoOptions = field(default_factory=images.PhotoOptions)
     focal_length_mm: images.FocalOption = None
     to: outputs.Outputs = field(default_factory=outputs.Outputs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _StarOptions(_PatternOptions):
+    cycles: int = option(MISSING, "Bright spokes of the star.", min=1)
+    radius: str | None = option(None, "Rings used, from,to, in the unit of the pitch.")
+    profile: Profile = option("sine", "How the star was printed.")
+    sectors: int = option(0, "Directions measured apart.", min=0)
 
 
 @verb("measuring the star")
@@ -66,15 +70,9 @@ def star(current: Session, asked: _StarOptions) -> None:
     _draw(current, asked, "stars.star_figure", found, measured, unit)
 
 
-@dataclass(frozen=True, slots=True)
-class _ZoneOptions:
-    of: images.ImageOptions
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _ZoneOptions(_PatternOptions):
     chirp: float = option(MISSING, "Growth of the frequency with the radius, in LP/mm per mm.")
-    center_px: CenterOption = None
-    levels: LevelsOption = None
-    photo: images.PhotoOptions = field(default_factory=images.PhotoOptions)
-    focal_length_mm: images.FocalOption = None
-    to: outputs.Outputs = field(default_factory=outputs.Outputs)
 
 
 @verb("measuring the zone plate")
@@ -213,7 +211,9 @@ def resolution(current: Session, asked: _ResolutionOptions) -> None:
 
 def _pattern(current: Session, asked: _ResolutionOptions, seen: images.Measured) -> Any:
     """Return the curve of the star, zone plate or bars."""
-    common = picked(seen, "pitch_mm valid") | {"levels": _levels(asked)}
+    common = picked(seen, "pitch_mm valid") | {
+        "levels": _pair(asked.levels, "levels like 100,3000")
+    }
     found: Any
     if asked.bars:
         from lensshift.evaluation.gratings import gratings_mtf
@@ -265,14 +265,17 @@ def _group(text: str, seen: images.Measured) -> tuple[float, images.Region | Non
     return frequency, images.parse_region(region or None)
 
 
-def _told(asked: _StarOptions | _ZoneOptions, measured: images.Measured) -> dict[str, Any]:
+def _told(asked: _PatternOptions, measured: images.Measured) -> dict[str, Any]:
     """Return what stars and zone plates are measured with alike."""
     center = _pair(asked.center_px, "a centre like 7.5,31.5")
-    return picked(measured, "pitch_mm valid") | {"center_px": center, "levels": _levels(asked)}
+    return picked(measured, "pitch_mm valid") | {
+        "center_px": center,
+        "levels": _pair(asked.levels, "levels like 100,3000"),
+    }
 
 
 def _draw(
-    current: Session, asked: _StarOptions | _ZoneOptions, name: str, found: Any,
+    current: Session, asked: _PatternOptions, name: str, found: Any,
     measured: images.Measured, unit: images.Unit,
 ) -> None:  # fmt: skip
     shown = (name, found, measured.values, measured.pitch_mm)
@@ -280,13 +283,7 @@ def _draw(
     outputs.write_plot(current, asked.to.plot, *shown, **told)
 
 
-def _levels(asked: _StarOptions | _ZoneOptions | _ResolutionOptions) -> Pair | None:
-    return _pair(asked.levels, "levels like 100,3000")
-
-
-def _say_place(
-    current: Session, asked: _StarOptions | _ZoneOptions, found: Any, pattern: str
-) -> None:
+def _say_place(current: Session, asked: _PatternOptions, found: Any, pattern: str) -> None:
     row, col = found.center_px
     current.say(f"{pattern}, centre at row {row:.2f}, column {col:.2f}")
     current.result |= {"image": asked.of.image, "center_px": found.center_px}
@@ -303,7 +300,7 @@ def _say_contrast(current: Session, found: Any) -> None:
         )
 
 
-def _to_measure(asked: _StarOptions | _ZoneOptions) -> tuple[images.Measured, images.Unit]:
+def _to_measure(asked: _PatternOptions) -> tuple[images.Measured, images.Unit]:
     outputs.check([asked.of.image], asked.to.csv, plot=asked.to.plot)
     measured = _one_image(asked.of, asked.photo)
     return measured, images.frequency_unit(measured, asked.focal_length_mm)
