@@ -318,10 +318,7 @@ def _one_frame(values: Array, path: Path, frame: int) -> Array:
 
 def _named(arrays: dict[str, Array], path: Path, key: str | None, usual: str) -> Array:
     """Return the array that is asked for or usual, else the only image."""
+    from lensshift.io.foreign_arrays import chosen
+
     images = [name for name, values in arrays.items() if values.ndim in (2, 3)]
-    candidates = [key] if key else [usual] if usual in arrays else images
-    if len(candidates) == 1 and candidates[0] in arrays:
-        return arrays[candidates[0]]
-    raise DataError(
-        f"cannot tell which array to take; choose a key among {', '.join(arrays)}", source=path
-    )
+    return arrays[chosen(arrays, key, [usual] if usual in arrays else images, path)]

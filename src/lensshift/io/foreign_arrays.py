@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -57,6 +57,16 @@ def load_named_arrays(
             raise DataError(said, source=path)
         warn_quality(f"{path}: {said}")
     return arrays
+
+
+def chosen(names: Collection[str], key: str | None, likely: Sequence[str], path: Path) -> str:
+    """Return the name of the array that is asked for, else the only likely one; or a DataError."""
+    candidates = likely if key is None else [key]
+    if len(candidates) == 1 and candidates[0] in names:
+        return candidates[0]
+    wanted = "the images" if key is None else repr(key)
+    problem = f"cannot tell which array holds {wanted}; choose a key among {', '.join(names)}"
+    raise DataError(problem, field="key", source=path)
 
 
 def _without_pickles(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any] | None:

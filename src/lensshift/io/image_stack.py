@@ -17,7 +17,7 @@ from lensshift.core.types import Burst, OffsetSource
 from lensshift.io import image_file
 from lensshift.io.container_reader import is_ours
 from lensshift.io.fits_wcs import wcs_cards
-from lensshift.io.foreign_arrays import has_names, load_named_arrays
+from lensshift.io.foreign_arrays import chosen, has_names, load_named_arrays
 from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.reading import reading
@@ -315,15 +315,7 @@ def _frames_name(path: Path, arrays: dict[str, NDArray[Any]], key: str | None) -
     others = (*_STACKS, "affine", *NAMES)
     stacks = [name for name, v in arrays.items() if v.ndim in (3, 4) and name not in others]
     known = [name for name in FRAME_KEYS if name in arrays]
-    candidates = [key] if key is not None else known[:1] or stacks
-    if len(candidates) == 1 and candidates[0] in arrays:
-        return candidates[0]
-    wanted = repr(key) if key is not None else "the frames"
-    raise DataError(
-        f"cannot tell which array holds {wanted}; choose a key among {', '.join(arrays) or 'none'}",
-        field="key",
-        source=path,
-    )
+    return chosen(arrays, key, known[:1] or stacks, path)
 
 
 def _offset_fields(
