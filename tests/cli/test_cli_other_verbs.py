@@ -120,7 +120,7 @@ def test_info_of_a_stack_that_is_not_yet_a_burst(call: Call, tmp_path: Path) -> 
     assert "amplitude   0 to 69" in done.stdout
     assert "shifts      not told: --offsets" in done.stdout
     assert "pitch       not told: --pitch-mm" in done.stdout
-    found = json.loads(call("info", tmp_path / "a.npz", "--pitch-mm", 1, "--json").stdout)
+    found = json.loads(call("info", tmp_path / "a.npz", "--pitch-mm", 0.1, "--json").stdout)
     assert (found["shape"], found["missing"]) == ([5, 7], ["offsets"])
     np.savez(tmp_path / "b.npz", frames=np.ones((2, 5, 7)), pitch_mm=(0.1, 0.2))
     assert "pitch       0.1 x 0.2 mm (row, col)" in call("info", tmp_path / "b.npz").stdout

@@ -52,18 +52,22 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True)
-class _RigOptions:
-    file: Path | None = option(None, "Write the rig file for `lensshift capture`.")
+class _CameraOptions:
     scene: SceneOption = "four_boxes"
     port: PortOption = 42000
     rate_hz: RateOption = 25.0
+    course: Course = Course()
+
+
+@dataclass(frozen=True, slots=True)
+class _RigOptions(_CameraOptions):
+    file: Path | None = option(None, "Write the rig file for `lensshift capture`.")
     speed: SpeedOption = 1.0
     play_um: PlayOption = 6.0
     noise_um: NoiseOption = 1.0
     message_loss: StageLossOption = 0.02
     packet_loss: PacketLossOption = 0.01
     reorder: ReorderOption = 0.01
-    course: Course = Course()
 
 
 @emulate.command()
@@ -131,14 +135,10 @@ def stage(current: Session, asked: _StageOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class _O3mOptions:
-    scene: SceneOption = "four_boxes"
-    port: PortOption = 42000
-    rate_hz: RateOption = 25.0
+class _O3mOptions(_CameraOptions):
     layout: str = option("1.4", "Of the pixel data, 1.0 to 1.4.")
     packet_loss: PacketLossOption = 0.0
     reorder: ReorderOption = 0.0
-    course: Course = Course()
 
 
 @emulate.command()
@@ -164,15 +164,13 @@ def o3m(current: Session, asked: _O3mOptions) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class _PcicOptions:
-    scene: SceneOption = "four_boxes"
+class _PcicOptions(_CameraOptions):
     port: int = option(50010, "TCP port; 0: a free one.", min=0, max=65535)
     rate_hz: RateOption = 10.0
     model: str = option("O3D", "O3D or O3R.")
     xmlrpc_port: int = option(
         0, "TCP port of its settings, 80 of a real one; 0: a free one.", min=0, max=65535
     )
-    course: Course = Course()
 
 
 @emulate.command()

@@ -80,7 +80,7 @@ def fidelity(current: Session, asked: _FidelityOptions) -> None:
         told = f"the truth goes up to {np.nanmax(truth):.5g} but white is {peak:g}; set --peak"
         warnings.warn(told, QualityWarning, stacklevel=1)
     found = asdict(measure(values, truth, peak=peak, border_px=asked.border_px))
-    _warn_if_apart(values, truth, asked.border_px, found["rmse"])
+    _warn_if_apart(values, truth, asked.border_px)
     current.tell(asked, "image truth peak border_px")
     current.result |= found
     current.say(f"PSNR  {found['psnr_db']:.3f} dB (peak {peak:g})")
@@ -88,26 +88,23 @@ def fidelity(current: Session, asked: _FidelityOptions) -> None:
     current.say(f"RMSE  {found['rmse']:.6g}")
 
 
-def _warn_if_apart(values: Array, truth: Array, border_px: int, rmse: float) -> None:
+def _warn_if_apart(values: Array, truth: Array, border_px: int) -> None:
     """Warn of an image that lies beside the truth, as where shifts were found from nothing."""
     import numpy as np
     from scipy.ndimage import shift
 
-    from lensshift.evaluation.fidelity import rmse as measure
+    from lensshift.evaluation.fidelity import rmse
     from lensshift.registration import phase_correlation
 
-    away_px = phase_correlation(truth, values)
-    reach = int(np.ceil(np.abs(away_px).max()))
-    if 2 * (border_px + reach) >= min(values.shape):
+    row, col = away_px = phase_correlation(truth, values)
+    inside = border_px + int(np.ceil(np.abs(away_px).max()))
+    if 2 * inside >= min(values.shape):
         return  # of nothing alike
-    moved = shift(values.astype(np.float64), -away_px)
-    there = measure(moved, truth, border_px=border_px + reach)
-    if there < _AT_HOME * measure(values, truth, border_px=border_px + reach):
-        row, col = away_px
-        warnings.warn(
+    there = rmse(shift(values.astype(np.float64), -away_px), truth, border_px=inside)
+    if there < _AT_HOME * rmse(values, truth, border_px=inside):
+        said = (
             f"the image lies ({row:+.2f}, {col:+.2f}) of its pixels (row, col) from the truth: "
-            f"brought back its RMSE is {there:.6g}, not {rmse:.6g}. Shifts that are found without "
-            "any that were told have a mean of 0: give --offsets, or the truth at their mean",
-            QualityWarning,
-            stacklevel=1,
+            f"brought back its RMSE is {there:.6g}. Shifts that are found without any that were "
+            "told have a mean of 0: give --offsets, or the truth at their mean"
         )
+        warnings.warn(said, QualityWarning, stacklevel=1)

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from lensshift.core.grid import Grid
     from lensshift.core.types import Burst, Reconstruction
 
-_NO_SHIFTS = "shifts      not told: --offsets, or `lensshift reconstruct` finds them"
-
 
 @dataclass(frozen=True, slots=True)
 class _InfoOptions:
@@ -95,8 +93,10 @@ def _say_burst(current: Session, burst: Burst, heading: str) -> None:
     modulation = ", ".join(f"{hz:g} Hz" for hz in burst.frequencies_hz) or "not known"
     current.say(f"modulation  {modulation}{', phasors of each' * (burst.phasors is not None)}")
     current.say(f"looks       {view_text(view)}")
-    if burst.offset_source == "unknown":
-        current.say(_NO_SHIFTS)
+    told = {"offsets": burst.offset_source != "unknown", "pitch_mm": burst.grid.tells_pitch()}
+    current.result["missing"] = [name for name, known in told.items() if not known]
+    if not told["offsets"]:
+        current.say("shifts      not told: --offsets, or `lensshift reconstruct` finds them")
     else:
         _say_offsets(current, burst)
     for name, value in burst.meta.items():
@@ -114,27 +114,17 @@ def _say_offsets(current: Session, burst: Burst) -> None:
 
 
 def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) -> None:
-    """Describe the images even if shifts or pitch are not known yet."""
+    """Describe the images, also phasors of which nobody told the frequencies yet."""
     from lensshift.io.image_stack import load_stack_fields
 
     fields = load_stack_fields(file, key=stack.key, frame_axis=FRAME_AXES[stack.frame_axis])
     frames = fields["amplitude"]
-    with_offsets = stack.offsets is not None or "offset_px" in fields or frames.shape[-3] == 1
-    with_pitch = stack.pitch_mm is not None or "pitch_mm" in fields
-    if with_offsets and with_pitch:
+    if frames.ndim == 3 or stack.modulation_hz is not None or "modulation_hz" in fields:
         _say_burst(current, load_input_burst(file, stack), heading)
         return
     current.say(heading)
-    known = {"offsets": with_offsets, "pitch_mm": with_pitch}
-    current.result["missing"] = [name for name, told in known.items() if not told]
     _say_frames(current, frames, fields.get("distance_m"), fields.get("valid"))
-    if not with_offsets:
-        current.say(_NO_SHIFTS)
-    told = "not told: --pitch-mm, if lengths matter"
-    if with_pitch:
-        told = stack.pitch_mm or "{:g} x {:g}".format(*fields["pitch_mm"])
-        told += " mm (row, col)"
-    current.say(f"pitch       {told}")
+    current.say("modulation  not told: --modulation-hz, once for each frequency")
 
 
 def _say_frames(
@@ -195,7 +185,8 @@ def _say_result(current: Session, result: Reconstruction, heading: str = "") -> 
 
 def _say_pitch(current: Session, grid: Grid, scale: int = 1) -> None:
     text = "{:g} x {:g} mm (row, col)".format(*grid.pitch_mm)
-    current.say(f"pitch       {text if grid.tells_pitch(scale) else 'not told'}")
+    cure = "not told: --pitch-mm beside images, if lengths matter"
+    current.say(f"pitch       {text if grid.tells_pitch(scale) else cure}")
 
 
 def _finite_range(values: NDArray[Any] | None, inside: Any) -> tuple[float, float] | None:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -85,10 +85,8 @@ def load_input_burst(path: Path, options: StackOptions) -> Burst:
         return _told_more(load_burst(path), path, options)
     if kind is not Kind.STACK:
         raise DataError(f"expected a burst, got a {kind.value}", source=path)
-    told = picked(options, "key modulation_hz") | {"pitch_mm": pitch_mm}
-    return load_image_stack(
-        path, options.offsets, frame_axis=FRAME_AXES[options.frame_axis], **told
-    )
+    told: dict[str, Any] = {"pitch_mm": pitch_mm, "frame_axis": FRAME_AXES[options.frame_axis]}
+    return load_image_stack(path, options.offsets, **picked(options, "key modulation_hz"), **told)
 
 
 def _told_more(burst: Burst, path: Path, options: StackOptions) -> Burst:

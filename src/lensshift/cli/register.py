@@ -60,12 +60,7 @@ def register(current: Session, asked: _RegisterOptions) -> None:
 
 
 def with_shifts(current: Session, burst: Burst, **told: Any) -> Burst:
-    """Return a burst of unknown shifts with those that its frames tell, and say them.
-
-    Parameters
-    ----------
-    told : options of `lensshift.register`
-    """
+    """Return a burst with the shifts that its frames tell, `told` as `register`, and say them."""
     from lensshift.registration import register as find_shifts
 
     with Waiting("finding the shifts"):

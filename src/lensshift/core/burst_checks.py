@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError
-from lensshift.core.intrinsics import Intrinsics
+from lensshift.core.intrinsics import Pinhole, PixelDirections
 from lensshift.core.units import doubt_about_distance, doubt_about_units, unambiguous_range_m
 
 LEAST_SIZE = 1e-100  # of frames: squares of smaller values, and of its inverse, are no doubles
@@ -150,10 +150,11 @@ def _unmeasured(amplitude: Array, distance_m: Array, range_m: float) -> str:
 
 def check_intrinsics(given: Any, shape: tuple[int, int]) -> None:
     """Refuse what says nothing of where pixels look, as a matrix, or not of so many."""
-    if not isinstance(given, Intrinsics):
+    if isinstance(given, PixelDirections):
+        given.check_fits(shape)
+    elif not isinstance(given, Pinhole):
         cure = "Pinhole(K[0, 0], K[1, 1], K[0, 2], K[1, 2], *dist.ravel()) of those of OpenCV"
         raise DataError(f"expected {cure}, got {type(given).__name__}", field="intrinsics")
-    given.check_fits(shape)
 
 
 def as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:

@@ -148,9 +148,6 @@ class Pinhole:
         first = [_start(part) for part in (rows, cols)]
         return replace(self, cx_px=self.cx_px - first[1], cy_px=self.cy_px - first[0])
 
-    def check_fits(self, shape: tuple[int, int]) -> None:
-        """Do nothing: a pinhole fits an image of any shape."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelDirections:

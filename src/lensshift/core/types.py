@@ -325,7 +325,7 @@ class Reconstruction(Shown, AsDataset):
 
     def __post_init__(self) -> None:
         if self.intrinsics is not None:
-            self.intrinsics.check_fits(self.grid.shape)
+            checks.check_intrinsics(self.intrinsics, self.grid.shape)
 
     @property
     def channels(self) -> Mapping[str, Estimate]:

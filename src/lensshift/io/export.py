@@ -128,8 +128,7 @@ def export_burst(burst: Burst, path: str | Path) -> None:
     elif is_fits(path):
         export_fits(burst, path)
     elif Path(path).suffix.lower() in TIFF_SUFFIXES:
-        told = burst.grid.tells_pitch()
-        export_image(burst.amplitude, path, pitch_mm=burst.grid.pitch_mm if told else None)
+        export_image(burst.amplitude, path, pitch_mm=_told_pitch_mm(burst))
     else:
         raise ValueError(
             f"expected a name that ends in .npz, .tif, .ome.tif or .fits, got {Path(path).name!r}"
@@ -178,9 +177,8 @@ def export_reconstruction(
     if Path(path).suffix.lower() != ".npz":
         if not channels:
             raise ValueError("expected a reconstruction with at least one channel, got none")
-        image, grid = next(iter(channels.values())).image, reconstruction.grid
-        told = grid.tells_pitch(reconstruction.scale)
-        return export_image(image, path, bits=bits, pitch_mm=grid.pitch_mm if told else None)
+        image = next(iter(channels.values())).image
+        return export_image(image, path, bits=bits, pitch_mm=_told_pitch_mm(reconstruction))
     fields = {name: getattr(reconstruction, name) for name in ("scale", "method", "flying")}
     fields |= {"pitch_mm": reconstruction.grid.pitch_mm}
     fields |= {"settings": to_json(reconstruction.settings, "settings")}
@@ -251,8 +249,9 @@ def _layers(value: Burst | Reconstruction) -> list[PictureLayer]:
     ]
 
 
-def _tells_pitch(value: Burst | Reconstruction) -> bool:
-    return value.grid.tells_pitch(value.scale if isinstance(value, Reconstruction) else 1)
+def _told_pitch_mm(value: Burst | Reconstruction) -> tuple[float, float] | None:
+    told = value.grid.tells_pitch(value.scale if isinstance(value, Reconstruction) else 1)
+    return value.grid.pitch_mm if told else None
 
 
 def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
@@ -267,10 +266,9 @@ def export_ome(value: Burst | Reconstruction, path: str | Path) -> None:
             "Name": [f"{one.name} ({one.unit})" if one.unit else one.name for one in layers]
         },
     }
-    if _tells_pitch(value):
-        for axis, pitch_mm in zip("YX", value.grid.pitch_mm, strict=True):
-            told[f"PhysicalSize{axis}"] = 1e3 * pitch_mm
-            told[f"PhysicalSize{axis}Unit"] = "\u00b5m"
+    for axis, pitch_mm in zip("YX", _told_pitch_mm(value) or (), strict=False):
+        told[f"PhysicalSize{axis}"] = 1e3 * pitch_mm
+        told[f"PhysicalSize{axis}Unit"] = "\u00b5m"
     with written_whole(path) as part:
         tifffile.imwrite(part, stack, ome=True, photometric="minisblack", metadata=told)
 
@@ -322,7 +320,6 @@ def _write_wcs(header: Header, value: Burst | Reconstruction) -> None:
         steps = np.rad2deg((1 / seen.fx_px, -1 / seen.fy_px))
         middle = (seen.cx_px + 1.0, seen.cy_px + 1.0)
         header.update(cards(("CMLN-TAN", "CMLT-TAN"), "deg", middle, steps))
-    if not _tells_pitch(value):
-        return
-    on_sensor = (1.0, 1.0), value.grid.pitch_mm[::-1]
-    header.update(cards(("X", "Y"), "mm", *on_sensor, "A" if straight else " "))
+    if pitch_mm := _told_pitch_mm(value):
+        on_sensor = (1.0, 1.0), pitch_mm[::-1]
+        header.update(cards(("X", "Y"), "mm", *on_sensor, "A" if straight else " "))

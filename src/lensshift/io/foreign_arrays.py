@@ -29,12 +29,8 @@ def load_named_arrays(
     """Read the arrays of numbers and text of an NPZ file, or those of numbers of an HDF5 file.
 
     Warns of Python objects in NPZ. In HDF5 packed numbers are unpacked and fill values are NaN, as
-    netCDF has them; arrays are named without their groups if that is one name each. The coordinates
-    along dimensions, and links, are left out.
-
-    Parameters
-    ----------
-    attributes : names of those attributes of an HDF5 file that are arrays too, if they are numbers
+    netCDF has them; arrays are named without their groups if that is one name each, and numbers in
+    `attributes` of the file count, too. Coordinates along dimensions, and links, are left out.
 
     Raises
     ------
@@ -96,9 +92,8 @@ def _hdf5_arrays(path: Path, attributes: Collection[str]) -> dict[str, NDArray[A
             if item.attrs.get("CLASS") != b"DIMENSION_SCALE"
         }
         short = [name.rpartition("/")[2] for name in items]
-        found = {name: root.attribute(name) for name in attributes}
-        numbers = {name: np.asarray(one) for name, one in found.items() if one is not None}
-        numbers = {name: one for name, one in numbers.items() if one.dtype.kind in "uif"}
+        told = {name: np.asarray(root.attribute(name)) for name in attributes}
+        numbers = {name: one for name, one in told.items() if one.dtype.kind in "uif"}
         for (name, item), last in zip(items.items(), short, strict=True):
             values = replace(root, group=item.parent).array(last, kinds="biufc")
             numbers[last if short.count(last) == 1 else name] = _measured(values, item)

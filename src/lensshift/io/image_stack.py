@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -258,7 +258,7 @@ def _named_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[s
         if stack in arrays and stack != name:
             fields[stack] = _stack(arrays[stack], frame_axis, path, stack)
     _mark_unmeasured(fields)
-    _warn_of_unread(path, arrays, name, chosen=key is not None)
+    _warn_of_unread(path, arrays, name, key)
     fields |= {plain: arrays[plain] for plain in _PLAIN if plain in arrays}
     for scalar, convert in _SCALARS.items():
         if scalar in arrays:
@@ -279,16 +279,11 @@ def _joined(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     return others | {FRAME_KEYS[1]: np.stack([arrays[one] for one in sorted(images, key=_natural)])}
 
 
-def _warn_of_unread(
-    path: Path, arrays: dict[str, NDArray[Any]], name: str, *, chosen: bool
-) -> None:
-    """Warn of what nothing is done with, as distances or shifts of another name.
-
-    Where the frames were chosen, stacks of other shapes are those that were not.
-    """
+def _warn_of_unread(path: Path, arrays: Mapping[str, Any], name: str, key: str | None) -> None:
+    """Warn of what nothing is done with; beside frames that a key chose, stacks may be others."""
     known = {name, *_STACKS, *_PLAIN, *_SCALARS, *NAMES, "flying", "truth"}  # of simulations
     shape = arrays[name].shape
-    left = [one for one, v in arrays.items() if not chosen or v.ndim < 3 or v.shape == shape]
+    left = [one for one, v in arrays.items() if key is None or v.ndim < 3 or v.shape == shape]
     if unread := [one for one in left if one not in known]:
         warn_quality(
             f"{path}: nothing is done with {', '.join(unread):.300}; distances are read from "

@@ -108,11 +108,6 @@ class FocalSurfaces:
     tangential_mm: Floats
     sagittal_mm: Floats
 
-    @property
-    def astigmatism_mm(self) -> Floats:
-        """[...] tangential minus sagittal."""
-        return np.asarray(self.tangential_mm - self.sagittal_mm)
-
 
 def focal_surfaces(
     lens: Lens,

@@ -242,21 +242,18 @@ def _turned(
 
 def _check(burst: Burst, method: str, motion: str, reference: int, use_given: bool) -> None:
     expect_burst(burst)
-    if method not in METHODS:
-        raise ValueError(f"expected a method among {', '.join(METHODS)}, got {method!r}")
-    if motion not in get_args(Motion):
-        raise ValueError(f"expected a motion among {', '.join(get_args(Motion))}, got {motion!r}")
+    for word, given, known in (("method", method, METHODS), ("motion", motion, get_args(Motion))):
+        if given not in known:
+            raise ValueError(f"expected a {word} among {', '.join(known)}, got {given!r}")
     if motion == "affine" and method != "auto":
         raise ValueError(f'expected method "auto" with motion "affine", got {method!r}')
-    if motion == "affine" and burst.frame_count < LEAST_FRAMES:
-        raise ValueError(
-            f"expected at least {LEAST_FRAMES} frames to tell how they turn, "
-            f"got {burst.frame_count}"
-        )
-    if burst.frame_count < 2:
-        raise ValueError(f"expected at least 2 frames to register, got {burst.frame_count}")
-    if not 0 <= reference < burst.frame_count:
-        raise ValueError(f"expected a reference from 0 to {burst.frame_count - 1}, got {reference}")
+    count = burst.frame_count
+    if motion == "affine" and count < LEAST_FRAMES:
+        raise ValueError(f"expected at least {LEAST_FRAMES} frames to tell turns, got {count}")
+    if count < 2:
+        raise ValueError(f"expected at least 2 frames to register, got {count}")
+    if not 0 <= reference < count:
+        raise ValueError(f"expected a reference from 0 to {count - 1}, got {reference}")
     if use_given and burst.offset_sigma_px is None:
         raise ValueError("the burst has no offset_sigma_px that its offsets could be weighed by")
     if use_given and method != "auto":
