@@ -12,7 +12,7 @@ from PIL import Image
 
 from lensshift import Burst
 from lensshift.cli.session import _EXTRAS
-from lensshift.report.preview import _grey, _save_plain
+from lensshift.report.preview import _coloured, _save_plain
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -82,5 +82,9 @@ def test_plain_preview_shows_what_is_there(tmp_path: Path) -> None:
     with Image.open(tmp_path / "plain.png") as page:
         pixels = np.asarray(page)
     assert pixels.shape[1] > pixels.shape[0]
-    black_to_white = _grey(rising, 2.0, 4.0)[0]
-    np.testing.assert_allclose(black_to_white, np.linspace(0, 255, 41), atol=0.51)
+    blue_to_yellow = _coloured(rising, 2.0, 4.0, "distance")
+    assert tuple(blue_to_yellow[0, 0]) == (68, 1, 84)
+    assert tuple(blue_to_yellow[0, -1]) == (253, 231, 37)
+    matplotlib = pytest.importorskip("matplotlib")
+    theirs = matplotlib.colormaps["viridis"](np.linspace(0, 1, 41))[:, :3]
+    assert np.abs(blue_to_yellow[0] / 255 - theirs).max() < 0.04

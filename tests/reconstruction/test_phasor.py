@@ -19,7 +19,7 @@ from lensshift.core.units import (
     phase_to_distance,
     unambiguous_range_m,
 )
-from lensshift.reconstruction.phasor import flying_pixels
+from lensshift.reconstruction.phasor import PhasorFrames, flying_pixels, phasor_from_phases
 from lensshift.reconstruction.phasor.channel import NO_PHASE_RAD
 from lensshift.reconstruction.phasor.frames import polar_frames
 
@@ -367,16 +367,45 @@ def test_what_cannot_be_is_refused(
         reconstruct(burst, channel="phasor", **settings)
 
 
+def test_four_phases_make_the_phasor_and_its_noise() -> None:
+    phasor = np.stack([pixel_means(offset, 1) for offset in OFFSETS])
+    turns = np.exp(-0.5j * np.pi * np.arange(4))[None, :, None, None]
+    difference = (phasor[:, None] * turns).real
+    frames = phasor_from_phases(difference)
+    assert isinstance(frames, PhasorFrames)
+    np.testing.assert_allclose(frames.phasor, phasor, atol=1e-12)
+    rng = np.random.default_rng(0)
+    noisy = phasor_from_phases(0.3 * rng.standard_normal((50, 4, 20, 20)), 0.09)
+    np.testing.assert_allclose(noisy.phasor.real.var(), noisy.variance.mean(), rtol=0.05)
+    np.testing.assert_allclose(noisy.phasor.imag.var(), noisy.variance.mean(), rtol=0.05)
+
+
 def test_phasors_go_into_a_burst_with_their_variance() -> None:
     by_distance = card_burst(0.01)
     phasor = polar_frames(by_distance).phasor
-    burst = Burst.from_arrays(phasor, offset_px=OFFSETS, pitch_mm=0.1, modulation_hz=F_HZ)
-    variance = np.full(phasor.shape, 1e-4)
-    result = reconstruct(burst, channel="phasor", pixel_variance=variance)
+    frames = phasor_from_phases(np.stack([phasor.real, phasor.imag, -phasor.real, -phasor.imag], 1),
+                                2e-4)  # fmt: skip
+    burst = Burst.from_arrays(frames.phasor, offset_px=OFFSETS, pitch_mm=0.1, modulation_hz=F_HZ)
+    result = reconstruct(burst, channel="phasor", pixel_variance=frames.variance)
     assert result.amplitude is not None
     assert result.amplitude.noise_sigma == pytest.approx(0.01)
     same = reconstruct(by_distance, channel="phasor", noise_sigma=0.01)
     np.testing.assert_allclose(images(result)[0], images(same)[0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("difference", "variance", "message"),
+    [
+        (np.zeros((4, 5, 7)), 1.0, r"\[frame 4 row col\]"),
+        (np.zeros((2, 3, 5, 7)), 1.0, r"\[frame 4 row col\]"),
+        (np.zeros((2, 4, 5, 7), complex), 1.0, "real phases"),
+        (np.zeros((2, 4, 5, 7)), 0.0, "positive"),
+        (np.zeros((2, 4, 5, 7)), np.ones(3), "broadcast"),
+    ],
+)
+def test_phases_of_another_kind_are_refused(difference: Array, variance: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        phasor_from_phases(difference, variance)
 
 
 def test_phasor_case_of_the_reference_data(reference_dir: Path) -> None:

@@ -17,6 +17,15 @@ _WIDE_PX, _LINE_PX, _GAP_PX = 520, 16, 6  # of an image, a line of text, between
 OUTSIDE = (0.5, 99.5)  # percentiles: stray pixels shall not set a scale
 _UNITS = {"amplitude": "", "distance": " m"}
 _INK, _PAPER = (34, 34, 34), (255, 255, 255)  # as in `style`
+# Matplotlib's viridis (CC0) at places equally far apart.
+_VIRIDIS = np.array(
+    [
+        [68, 1, 84], [72, 31, 112], [68, 57, 131], [59, 82, 139], [49, 104, 142], [40, 124, 142],
+        [33, 145, 140], [32, 164, 134], [53, 183, 121], [94, 201, 98], [144, 215, 67],
+        [200, 224, 32], [253, 231, 37],
+    ],
+    np.float64,
+)  # fmt: skip
 
 
 def save_shots(shown: Shots, title: str, path: str | Path) -> None:
@@ -66,7 +75,7 @@ def _save_plain(shown: Shots, title: str, path: str | Path) -> None:
             (left, top), (low, high) = corner_px(number, place), limits[name]
             text = f"{label}: {name}, {low:.3g} to {high:.3g}{_UNITS[name]}"
             pen.text((left, top), text, fill=_INK)
-            picture = Image.fromarray(_grey(np.abs(images[name]), low, high))
+            picture = Image.fromarray(_coloured(np.abs(images[name]), low, high, name))
             picture = picture.resize((_WIDE_PX, high_px), Image.Resampling.NEAREST)
             page.paste(picture, (left, top + _LINE_PX))
     with written_whole(path) as part:
@@ -88,6 +97,12 @@ def channel_range(shown: Shots, channel: str) -> tuple[float, float]:
     return shown_range(np.abs(known[-1]))
 
 
-def _grey(image: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:
+def _coloured(image: NDArray[Any], low: float, high: float, channel: str) -> NDArray[np.uint8]:
     level = (np.nan_to_num(image, nan=low) - low) / (high - low)
-    return np.asarray(np.rint(255 * np.clip(level, 0.0, 1.0)), np.uint8)
+    share: NDArray[np.float64] = np.clip(level, 0.0, 1.0)
+    if channel == "amplitude":
+        parts = [255 * share] * 3
+    else:
+        places = np.linspace(0.0, 1.0, len(_VIRIDIS))
+        parts = [np.interp(share, places, _VIRIDIS[:, k]) for k in range(3)]
+    return np.asarray(np.rint(np.stack(parts, axis=-1)), np.uint8)

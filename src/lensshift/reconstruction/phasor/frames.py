@@ -1,11 +1,11 @@
-"""Phasor frames, from amplitude and distance."""
+"""Phasor frames: from the four phases of a time-of-flight pixel, or from amplitude and distance."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Array, Floats
 from lensshift.core.order import median
@@ -18,6 +18,61 @@ from lensshift.core.units import (
     phase_to_distance,
     unambiguous_range_m,
 )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhasorFrames:
+    """What the four phases of each frame say.
+
+    Parameters
+    ----------
+    phasor : [frame row col] complex
+    variance : [frame row col] of its real and of its imaginary part
+    """
+
+    phasor: NDArray[np.complex128]
+    variance: Floats
+
+
+def phasor_from_phases(difference: ArrayLike, variance: ArrayLike = 1.0) -> PhasorFrames:
+    """Return the phasors of raw four-phase frames.
+
+        P = ((D_0 - D_2) + i (D_1 - D_3)) / 2,   D_k = tap A - tap B at k pi / 2
+        var(Re P), var(Im P) ~ sum_k var(D_k) / 8
+
+    They make a burst that keeps the noise where it arose:
+
+        frames = phasor_from_phases(difference, variance)
+        burst = Burst.from_arrays(frames.phasor, offset_px=..., pitch_mm=..., modulation_hz=f)
+        reconstruct(burst, channel="phasor", pixel_variance=frames.variance)
+
+    Parameters
+    ----------
+    difference : [frame 4 row col] D_k in any unit
+    variance : of D_k in the square of that unit, one number or anything that broadcasts to
+        [frame 4 row col]; 1 if only its share matters
+
+    Raises
+    ------
+    ValueError
+        If the frames are not real [frame 4 row col], or a variance is not positive.
+    """
+    phases = np.asarray(difference)
+    if phases.dtype.kind not in "uif" or phases.ndim != 4 or phases.shape[1] != 4:
+        raise ValueError(
+            f"expected real phases [frame 4 row col], got {phases.dtype} of shape {phases.shape}"
+        )
+    spread = np.asarray(variance, np.float64)
+    if not (np.all(np.isfinite(spread)) and np.all(spread > 0)):
+        raise ValueError("expected positive, finite variances of the phases")
+    try:
+        spread = np.broadcast_to(spread, phases.shape)
+    except ValueError as error:
+        raise ValueError(
+            f"expected variances that broadcast to {phases.shape}, got {spread.shape}"
+        ) from error
+    d0, d1, d2, d3 = np.moveaxis(phases.astype(np.float64), 1, 0)
+    return PhasorFrames(0.5 * ((d0 - d2) + 1j * (d1 - d3)), spread.sum(axis=1) / 8.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
