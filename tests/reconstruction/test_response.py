@@ -240,7 +240,7 @@ def test_four_boxes_of_an_unknown_camera(seed: int) -> None:
     told = seen.burst
     bare = Burst.from_arrays(
         told.amplitude, told.distance_m, offset_px=told.offset_px, pitch_mm=told.grid.pitch_mm,
-        modulation_hz=told.modulation_hz,
+        modulation_hz=told.modulation_hz, meta={"stray_light": told.meta["stray_light"]},
     )  # fmt: skip
     for channel in ("amplitude", "phasor"):
         with warnings.catch_warnings():

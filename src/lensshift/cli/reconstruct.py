@@ -18,7 +18,6 @@ from lensshift.cli.register import with_shifts
 from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import option, verb
 from lensshift.core.errors import QualityWarning, naming
-from lensshift.core.stray_light import StrayLight
 
 if TYPE_CHECKING:
     from lensshift.core.types import Burst, Reconstruction
@@ -137,6 +136,8 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
     methods.check_method(asked.method)
     settings |= methods.parse_options(asked.method, asked.method_options or [])
     if asked.stray_light is not None:
+        from lensshift.core.stray_light import StrayLight
+
         settings["stray_light"] = StrayLight(*asked.stray_light)
     if is_recording(asked):
         reconstruct_windows(current, asked, settings)
