@@ -23,7 +23,7 @@ from lensshift import (
     save_burst,
     save_reconstruction,
 )
-from lensshift.camera import PlainOptics, camera_preset, simulate_tof_burst
+from lensshift.camera import PlainOptics, TofTruth, camera_preset, simulate_tof_burst
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid
 from lensshift.core.units import PhaseScale, distance_to_phase
@@ -315,15 +315,28 @@ SCENE = Scene(
 )
 
 
-@pytest.mark.parametrize(("hz", "watt"), [(PAIR_HZ, 0.3), ((30e6, 29e6, 28e6), 0.3)])
-def test_edges_are_better_and_no_surface_is_a_turn_off(hz: tuple[float, ...], watt: float) -> None:
+def seen_by_a_camera(hz: tuple[float, ...], seed: int) -> tuple[Burst, TofTruth]:
     vga = camera_preset("vga")
     camera = replace(
         vga, grid=Grid((24, 33), (0.031, 0.031)), optics=PlainOptics(3.2, 1.2, blur_sigma_px=0.1),
-        illumination=replace(vga.illumination, modulation_hz=hz, intensity_w_per_sr=watt),
+        illumination=replace(vga.illumination, modulation_hz=hz, intensity_w_per_sr=0.3),
         scatter=None,
     )  # fmt: skip
-    burst, truth = simulate_tof_burst(SCENE, camera, seed=5)
+    return simulate_tof_burst(SCENE, camera, seed=seed)
+
+
+@pytest.mark.parametrize("without_phasors", [False, True])
+@pytest.mark.parametrize("seed", [5, 6])
+def test_shifts_of_the_wrong_sign_are_told(seed: int, without_phasors: bool) -> None:
+    burst = seen_by_a_camera(PAIR_HZ, seed)[0]
+    burst = replace(burst, phasors=None) if without_phasors else burst
+    with pytest.warns(QualityWarning, match="likely their sign"):
+        reconstruct(replace(burst, offset_px=-burst.offset_px))
+
+
+@pytest.mark.parametrize("hz", [PAIR_HZ, (30e6, 29e6, 28e6)])
+def test_edges_are_better_and_no_surface_is_a_turn_off(hz: tuple[float, ...]) -> None:
+    burst, truth = seen_by_a_camera(hz, 5)
     result = reconstruct(burst)
     alone = reconstruct(burst, channel="distance").distance_m.image
     errors = [depth_error(d, truth.distance_m, scale=2) for d in (result.distance_m.image, alone)]

@@ -8,6 +8,7 @@ import numpy as np
 
 from lensshift.core.arrays import Floats
 from lensshift.core.order import median
+from lensshift.core.phasors import phasor_frames
 from lensshift.core.types import Burst
 from lensshift.forward.operator import mean_seen, single
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
@@ -77,7 +78,11 @@ class Steps:
 def differ_by_rounding(part: Burst) -> bool:
     """Return whether frames differ by no more than levels do, as `within_rounding` has it."""
     valid = part.valid
-    if part.distance_m is None and part.amplitude.dtype.kind != "c":
+    if part.phasors is not None:
+        z = phasor_frames(part)
+        return within_rounding(np.stack([z.real, z.imag]), np.stack([valid, valid]))
+    several = len(part.frequencies_hz) > 1
+    if several or (part.distance_m is None and part.amplitude.dtype.kind != "c"):
         return within_rounding(part.amplitude, valid)
     frames = polar_frames(part)
     if within_rounding(frames.parts, np.stack([valid, valid])):
