@@ -181,7 +181,10 @@ def test_a_pixel_that_takes_the_turn_of_its_neighbours_may_contradict_itself(
     found_m, std_m = common_distance(tones)
     np.testing.assert_allclose(found_m, distance_m, rtol=1e-9)
     times = max(towards * apart / np.sqrt(2), 1.0)
-    assert std_m[3, 4] == pytest.approx(times * std_rad[0, 3, 4] / np.linalg.norm(per_m))
+    # A pixel like none around is beside an edge, where all phases share their error.
+    independent, shared = 1 / np.linalg.norm(per_m), per_m.sum() / (per_m @ per_m)
+    per_rad = shared if towards > 0.5 else independent
+    assert std_m[3, 4] == pytest.approx(times * std_rad[0, 3, 4] * per_rad)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -212,6 +215,17 @@ def test_a_thin_thing_that_the_lowest_frequency_sees_stays_where_it_is(seed: int
     phase_rad = distance_to_phase(1.0, 1.0) * np.array(hz)[:, None, None] * truth_m
     phase_rad += std * rng.standard_normal(std.shape)
     np.testing.assert_allclose(common_distance(Tones(hz, phase_rad, std))[0], truth_m, atol=0.1)
+
+
+def test_beside_an_edge_all_frequencies_have_the_same_error() -> None:
+    """Of three that know as much: noise falls with the root of their number, what is hidden not."""
+    hz, truth_m = (30e6, 29e6, 28e6), np.where(np.arange(12) < 5, 1.0, 2.0) * np.ones((7, 1))
+    per_m = distance_to_phase(1.0, 1.0) * np.array(hz)[:, None, None]
+    std_rad = 0.02 * per_m / per_m.max() * np.ones(truth_m.shape)
+    std_m = common_distance(Tones(hz, per_m * truth_m, std_rad))[1]
+    alone_m = 0.02 / per_m.max()
+    np.testing.assert_allclose(std_m[:, [4, 5]], alone_m)
+    np.testing.assert_allclose(std_m[:, [0, 1, 2, 3, 6, 7, 8, 9, 10, 11]], alone_m / 3**0.5)
 
 
 @pytest.mark.parametrize("seed", range(3))

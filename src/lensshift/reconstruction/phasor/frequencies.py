@@ -74,6 +74,12 @@ class Tones:
         """Standard deviation [...] of the distance within its turn."""
         return np.asarray(1.0 / np.sqrt(np.sum(self._weight(), axis=0)))
 
+    @property
+    def shared_m(self) -> Floats:
+        """The same where all phases have one error: sum of 1 / s_f over sum of 1 / s_f^2."""
+        weight = self._weight()
+        return np.asarray(np.sum(np.sqrt(weight), axis=0) / np.sum(weight, axis=0))
+
     def in_turn(self, number: int) -> tuple[Floats, Floats]:
         """Return the distance [...] in a turn of the highest frequency, and its chi-square.
 
@@ -239,12 +245,13 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     no mixture of those has its phases (by 9). Turns that no surface and no line has are not asked.
     Of these pixels the distance is the mean over all turns, by how likely they are, and their
     variance is in that of it; besides there is what phases allow, more where they contradict each
-    other.
+    other. Beside an edge what a picture hides is the same in all of them, as noise is not.
     """
     found_m, least, sure = pictures.alone()
     doubt = np.maximum(least / max(len(pictures.hz) - 1, 1), 1.0)
-    std_m = pictures.sigma_m * np.sqrt(doubt)
     alike = _alike(found_m, pictures.sigma_m, pictures.turn_m)
+    edge = alike < _neighbours(alike.shape)
+    std_m = np.where(edge, pictures.shared_m, pictures.sigma_m) * np.sqrt(doubt)
     asked = (alike < CORNER) | ~sure
     if not asked.any():
         return found_m, std_m
@@ -277,7 +284,7 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     contradiction = np.maximum(_least(cost, total) / max(len(pictures.hz) - 1, 1), 1.0)
     found_m[asked] = np.sum(likely * tried_m, axis=0)
     others = np.sum(likely * (tried_m - found_m[asked]) ** 2, axis=0)
-    std_m[asked] = np.sqrt(some.sigma_m**2 * doubt[asked] * contradiction + others)
+    std_m[asked] = np.sqrt(std_m[asked] ** 2 * contradiction + others)
     return found_m, std_m
 
 
@@ -327,6 +334,12 @@ def _alike(distance_m: Array, sigma_m: Array, turn_m: float) -> NDArray[np.int_]
         beyond_m = np.abs(wide_m[at] - distance_m) - ALIKE * turn_m
         count += beyond_m < np.sqrt(SURE * (variance_m2[at] + sigma_m**2))
     return count
+
+
+def _neighbours(shape: tuple[int, ...]) -> NDArray[np.int_]:
+    """Return how many neighbours [row col] pixels have, fewer than 8 at the borders."""
+    rows, cols = (np.convolve(np.ones(n, np.int_), np.ones(3, np.int_))[1:-1] for n in shape)
+    return np.asarray(np.multiply.outer(rows, cols) - 1)
 
 
 def _apart(tried_m: Array, distance_m: Array, asked: Mask, turn_m: float) -> Floats:
