@@ -358,3 +358,25 @@ def test_a_smooth_scene_of_few_pixels_has_one_brightness(seed: int) -> None:
     rng = np.random.default_rng([seed, 9])
     y = photograph(smooth_scene, (9, 13), square(2)) + 0.005 * rng.standard_normal((4, 9, 13))
     assert warned(burst_of(y)) == []
+
+
+@pytest.mark.parametrize("px", [1, 2, 3])
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_disc_that_steps_aside_once_is_told_of_phasors(seed: int, axis: int, px: int) -> None:
+    """Half of the frames show it elsewhere; a finer picture, of rows in turn, explains both."""
+    shape, rng, offset_px = (24, 33), np.random.default_rng(seed), square(2)
+    rows, cols = ((n + 2 * MARGIN_PX) * SAMPLES for n in shape)
+    row, col = np.mgrid[:rows, :cols] / SAMPLES - MARGIN_PX
+    at, radius = rng.uniform(8, [shape[0] - 8, shape[1] - 11]), rng.uniform(3, 5)
+    frames = []
+    for moved in (0, px):
+        down, right = at + moved * np.eye(2)[axis]
+        disc = (row - down) ** 2 + (col - right) ** 2 < radius**2
+        fine = np.where(disc, 0.9, 0.2 + 0.002 * col) * np.exp(1j * np.where(disc, 0.3, 1.2))
+        frames.append(observe(fine, shape, offset_px=offset_px, snr=1e9, rng=rng).y)
+    y = np.concatenate([frames[0][:2], frames[1][2:]])
+    y = y + 0.004 * (rng.standard_normal(y.shape) + 1j * rng.standard_normal(y.shape))
+    burst = Burst.from_arrays(y, offset_px=offset_px, pitch_mm=0.1, modulation_hz=15e6)
+    with pytest.warns(QualityWarning, match="moved"):
+        reconstruct(burst)

@@ -105,6 +105,11 @@ class Misfit:
         return bool(self.off_px or self.doubt.max(initial=0.0) > 1.0)
 
     @property
+    def contradicts(self) -> bool:
+        """Whether the frames contradict in any way."""
+        return self.lit or self.shifts_wrong or self.curable
+
+    @property
     def withdrawn(self) -> Misfit:
         """The same without contradictions."""
         return replace(self, doubt=np.minimum(self.doubt, 1.0), off_px={}, brightness=0.0)

@@ -173,7 +173,7 @@ def _solved_once(problem: Problem, request: Request, asked: Asked) -> tuple[Solu
         solve = partial(_picture, request=request)
         found = finished(asked, found, problem.scale, solve)
     misfit = find_misfit(A, found.image, asked.y, noise, problem.scale)
-    if (misfit.lit or misfit.curable or misfit.shifts_wrong) and tells_little(problem):
+    if misfit.contradicts and tells_little(problem):
         return found, misfit.withdrawn
     return found, misfit
 
@@ -233,7 +233,7 @@ def _seen_otherwise(problem: Problem, noise: Floats, misfit: Misfit, request: Re
         sigma = np.where(other.inside, noise[:, rows, cols], np.inf)
         asked = Asked(other, part.y, sigma, blur_width_px(other.blur))
         _, again = _solved_once(part, request, asked)
-        if not again.curable:
+        if not again.contradicts:  # in a part what moved may pass for light, or for most frames
             return replace(misfit, doubt=np.minimum(misfit.doubt, 1.0))
     return misfit
 

@@ -85,7 +85,9 @@ def _step(problem: Problem) -> float:
 
 
 def _as_sent(problem: Problem) -> Array:
-    return np.asarray(problem.y * problem.intensity + problem.level)
+    stray, y = problem.stray_light, problem.y
+    seen = y if stray is None else stray.added(y)
+    return np.asarray(seen * problem.intensity + problem.level)
 
 
 def _estimated_noise(problem: Problem) -> NoiseLaw:
