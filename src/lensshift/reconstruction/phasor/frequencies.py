@@ -18,6 +18,7 @@ from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.units import SPEED_OF_LIGHT_MPS, within_half_a_turn
 
 AROUND_HR_PX = 7  # along the window in which surfaces are looked for
+BESIDE_HR_PX = 5  # along that of the two which a pixel mixes
 ALIKE = 1.0 / 16.0  # of a turn: what four pixels of one surface may differ by
 FARTHEST_M = 200.0  # no camera that counts turns sees farther
 RELATED = 1.0 / 20.0  # of a turn, over its number: frequencies are multiples of another, or nearly
@@ -110,20 +111,21 @@ class Tones:
         return best_m, least, second - least > SURE
 
     def mixed(self, near_m: Array, far_m: Array) -> Floats:
-        """Return the chi-square [...] of the best mixture of light from two distances.
+        """Return the chi-square [...] of the best mixtures of light from two distances.
 
-            min_w sum_f (phi_f - arg(w e_f(near) + (1 - w) e_f(far)))^2 / s_f^2
+            sum_f min_w (phi_f - arg(w e_f(near) + (1 - w) e_f(far)))^2 / s_f^2
 
-        with e_f(d) = exp(4 pi i f d / c).
+        with e_f(d) = exp(4 pi i f d / c). Each picture draws an edge a little elsewhere, and mixes
+        by its own w.
         """
         near, far = (np.exp(1j * self.rad_per_m * one_m) for one_m in (near_m, far_m))
-        least = np.full(near_m.shape, np.inf)
+        least = np.full(self.phase_rad.shape, np.inf)
         for share in MIXTURES:
             off_rad = within_half_a_turn(
                 self.phase_rad - np.angle(share * near + (1 - share) * far)
             )
-            least = np.minimum(least, np.sum((off_rad / self.std_rad) ** 2, axis=0))
-        return least
+            least = np.minimum(least, (off_rad / self.std_rad) ** 2)
+        return np.asarray(least.sum(axis=0))
 
     def sees_beyond(self, low_m: Array, high_m: Array, farthest_m: float) -> Mask:
         """Return where the lowest frequency surely sees what is nearer or farther than that.
@@ -271,8 +273,10 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     alike = _alike(found_m, pictures.sigma_m, pictures.turn_m)
     surface, margin_m = alike >= CORNER, ALIKE * pictures.turn_m
     low_m, high_m = _reach(found_m, surface, margin_m)
-    thin = asked & ~surface & (alike >= LINE) & np.isfinite(low_m)
-    mixed = pictures.at(thin).mixed(low_m[thin] + margin_m, high_m[thin] - margin_m)
+    beside_m = _reach(found_m, surface, 0.0, BESIDE_HR_PX)
+    thin = asked & ~surface & (alike >= LINE) & np.isfinite(beside_m[0])
+    thin[[0, -1]] = thin[:, [0, -1]] = False  # which may mix what the picture does not show
+    mixed = pictures.at(thin).mixed(*(one_m[thin] for one_m in beside_m))
     surface[thin] = mixed / doubt[thin] - _least(cost, total)[thin[asked]] > SURE
     low_m, high_m = _reach(found_m, surface, margin_m)
     beyond_m = np.maximum(low_m[asked] - tried_m, tried_m - high_m[asked])
@@ -362,11 +366,13 @@ def _least(values: Array, cost: Array) -> Floats:
     return np.asarray(np.take_along_axis(values, number, axis=0)[0])
 
 
-def _reach(distance_m: Array, surface: Mask, margin_m: float) -> tuple[Floats, Floats]:
+def _reach(
+    distance_m: Array, surface: Mask, margin_m: float, side_px: int = AROUND_HR_PX
+) -> tuple[Floats, Floats]:
     """Return from where to where [row col] the surfaces around go, any distance where none is."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    low_m = minimum_filter(np.where(surface, distance_m, np.inf), AROUND_HR_PX)
-    high_m = maximum_filter(np.where(surface, distance_m, -np.inf), AROUND_HR_PX)
+    low_m = minimum_filter(np.where(surface, distance_m, np.inf), side_px)
+    high_m = maximum_filter(np.where(surface, distance_m, -np.inf), side_px)
     known = np.isfinite(low_m)
     return np.where(known, low_m - margin_m, -np.inf), np.where(known, high_m + margin_m, np.inf)
