@@ -21,7 +21,7 @@ class StrayLight:
         y = (1 - s) x + s G x
 
     A near bright object so pulls dark surfaces around it towards its own distance: a hundredth of
-    light twenty times as bright, half a radian away, by 0.1 rad (1 m at 15 MHz).
+    light twenty times as bright, half a radian away (0.8 m at 15 MHz), by 0.1 rad (0.16 m).
 
     Parameters
     ----------
