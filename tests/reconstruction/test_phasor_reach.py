@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lensshift.reconstruction.phasor.reach import within_reach
+from lensshift.reconstruction.learned.reach import Reach
 
 SHAPE, NEAR_RAD, FAR_RAD = (9, 13), 0.2, 0.5
 OFFSET_PX = np.array([(-0.25, -0.25), (0.25, 3.25)])
@@ -21,9 +21,8 @@ def test_what_no_mixture_of_the_surfaces_has_is_moved_and_told(turn_rad: float) 
     phase = np.full((18, 26), 0.3 + turn_rad)
     phase[8, 12] = 2.0 + turn_rad  # at the step; (lo + hi) / 2 + 3/2 (hi - lo) is 0.8
     phase[4, 11] = 0.75 + turn_rad  # in reach: what mixes may be as far from its mixtures
-    moved, std = within_reach(
-        phase, np.full(phase.shape, 0.1), frames(turn_rad), USED, OFFSET_PX, 2
-    )
+    reach = Reach.of(frames(turn_rad), USED, OFFSET_PX, 2)
+    moved, std = reach.hold(phase, np.full(phase.shape, 0.1))
     near = (slice(None), slice(8, 16))
     expected, told = phase.copy(), np.full(phase.shape, 0.1)
     expected[8, 12], told[8, 12] = 0.8 + turn_rad, np.hypot(0.1, 1.2)
@@ -34,7 +33,8 @@ def test_what_no_mixture_of_the_surfaces_has_is_moved_and_told(turn_rad: float) 
 def test_where_nothing_is_seen_nothing_is_known_better() -> None:
     phase, used = np.full((18, 26), 2.5), USED.copy()
     used[:, :, :8] = False
-    moved, std = within_reach(phase, np.full(phase.shape, 0.1), frames(0.0), used, OFFSET_PX, 2)
+    reach = Reach.of(frames(0.0), used, OFFSET_PX, 2)
+    moved, std = reach.hold(phase, np.full(phase.shape, 0.1))
     np.testing.assert_array_equal(moved[:, :4], 2.5)
     np.testing.assert_array_equal(std[:, :4], 0.1)
     np.testing.assert_allclose(moved[:, -4:], FAR_RAD, atol=1e-9)  # one surface has one phase

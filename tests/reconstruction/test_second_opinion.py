@@ -23,6 +23,7 @@ from lensshift.reconstruction.learned.phasors import (
     LOW_PASS_PX,
     _second_amplitude,
     _second_phase,
+    finished,
     mean_hr_px,
     with_means_of,
 )
@@ -197,3 +198,30 @@ def test_means_of_a_picture_are_those_of_the_frames_with_the_noise_of_so_many(sc
         assert np.sqrt(np.mean(part**2)) == pytest.approx(np.median(std[inner]), rel=0.25)
     expected = sigma / np.sqrt(mean_hr_px(scale) * len(offset_px) / scale**2)
     np.testing.assert_allclose(std[inner], expected, rtol=0.05)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_light_drawn_out_of_reach_takes_the_distance_of_what_it_looks_like(seed: int) -> None:
+    """A dark wall beside a bright box; along the box pixels of the wall are drawn half a turn off.
+
+    The frames know no such phase, and the pixels as good as no light. Theirs is that of the wall.
+    """
+    rng, near, wall = np.random.default_rng(seed), 0.4, 0.9
+    left = np.broadcast_to(np.arange(26) < 12, (18, 26))
+    image = np.where(left, np.exp(1j * near), 0.04 * np.exp(1j * wall))
+    offset_px = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)])
+    model = forward_model((9, 13), 2, offset_px=offset_px, blur=GaussianBlur(0.25))
+    y = model.operator.forward(image) + 0.001 * (rng.normal(size=(2, 4, 9, 13)).T @ [1, 1j]).T
+    drawn, std = image.copy(), np.full((3, 18, 26), 0.004)
+    off = np.zeros(left.shape, np.bool_)
+    off[4:14:3, 12] = True
+    drawn[off], std[:2, off] = 0.02 * np.exp(1j * (wall + 2.8)), 0.02
+    asked = Asked(model, y, np.full(y.shape, 0.001), 0.25)
+    answers = iter([(np.abs(drawn), std[0]), (np.zeros(off.shape), np.full(off.shape, 1e6))])
+
+    def second(other: Asked) -> Solution:  # the same light, and no phase
+        picture, of_it = next(answers)
+        return Solution(picture, of_it, np.ones(y.shape), 0.0)
+
+    found = finished(asked, Solution(drawn, std, np.ones(y.shape), 0.0), 2, second)
+    assert np.all(np.abs(np.angle(found.image * np.exp(-1j * wall)))[off] < 0.1)

@@ -24,6 +24,7 @@ from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX, WINDOW_PX, s
 from lensshift.reconstruction.learned.finer import means, seen_finer, std_of_means
 from lensshift.reconstruction.learned.opinions import amplitude_of_both, phase_of_both
 from lensshift.reconstruction.learned.pooling import pooled_phase
+from lensshift.reconstruction.learned.reach import Reach
 from lensshift.reconstruction.learned.solver import Asked, Solution
 from lensshift.reconstruction.problem import LEAST_SHARE_OF_LIGHT
 
@@ -62,9 +63,13 @@ def finished(
     image = image * ratio
     size = np.maximum(np.abs(image), TINY)
     own, shared = (np.minimum(part / size, NO_PHASE_RAD) for part in (across, of_means))
+    reach = Reach.of(asked.y, np.isfinite(asked.sigma), asked.model.mean_offset_px, scale)
+    # What no mixture around has is no guess at a surface: it takes those of pixels it looks like.
+    phase, own = reach.hold(np.angle(image), own)
+    image, own = size * np.exp(1j * phase), np.minimum(own, NO_PHASE_RAD)
     phase, of_phase = pooled_phase(image, along, own, shared, mean_hr_px(scale))
     image = size * np.exp(1j * phase)
-    phase, of_phase = _second_phase(asked, image, of_phase, scale, solve)
+    phase, of_phase = reach.hold(*_second_phase(asked, image, of_phase, scale, solve))
     return replace(found, image=size * np.exp(1j * phase), std=np.stack([along, of_phase * size]))
 
 

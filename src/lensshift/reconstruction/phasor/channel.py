@@ -13,7 +13,6 @@ import numpy as np
 from lensshift.core.arrays import Floats, Mask
 from lensshift.core.errors import QualityWarning
 from lensshift.core.order import median
-from lensshift.core.phasors import from_polar
 from lensshift.core.types import Burst, Estimate, Status
 from lensshift.core.units import PhaseScale, distance_to_phase
 from lensshift.forward.prediction import (
@@ -34,7 +33,6 @@ from lensshift.reconstruction.misfit import ESTIMATED
 from lensshift.reconstruction.phasor.flying import flying_pixels
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, doubt_about_phases
-from lensshift.reconstruction.phasor.reach import within_reach
 from lensshift.reconstruction.phasor.rounding import Steps
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
 from lensshift.reconstruction.problem import Problem, blur_width_px, make_problem, predictor
@@ -198,16 +196,7 @@ def _learned(problem: Problem, sigma: Floats, request: Request) -> Estimate:
     std = as_bars(found.image, std, blur_width_px(problem.model.blur), problem.scale)
     amplitude = np.abs(found.image)
     of_phase_rad = np.minimum(std[1] / np.maximum(amplitude, 1e-12), NO_PHASE_RAD)
-    phase_rad, of_phase_rad = within_reach(
-        np.angle(found.image), of_phase_rad, problem.y, problem.weight > 0, problem.offset_px,
-        problem.scale,
-    )  # fmt: skip
-    spread = np.stack([std[0], of_phase_rad])
-    return replace(
-        found,
-        image=from_polar(amplitude, phase_rad),
-        uncertainty=spread if request.std else None,
-    )
+    return replace(found, uncertainty=np.stack([std[0], of_phase_rad]) if request.std else None)
 
 
 def _of_stray_light(found: Estimate, problem: Problem) -> Floats | float:
