@@ -16,10 +16,12 @@ from lensshift.camera import camera_preset, named_pattern_px, simulate_tof
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import ShiftField, Status
 from lensshift.reconstruction import glance, shift_check
+from lensshift.reconstruction.held_out import Trial
+from lensshift.reconstruction.pixel_response import averaged
 from lensshift.reconstruction.quick_shifts import without_lone_waves
 from lensshift.reconstruction.reconstruct import reconstruct
-from lensshift.reconstruction.shift_check import CURES, Doubt, _readings, _Trial
-from lensshift.scene import slanted_edge_card
+from lensshift.reconstruction.shift_check import CURES, Doubt, _readings
+from lensshift.scene import Checker, Plane, Scene, slanted_edge_card
 
 SHAPE = (24, 30)
 RNG = np.random.default_rng(2)
@@ -257,7 +259,7 @@ def test_a_reading_is_as_sure_as_a_paired_t_test_says(
     one[:, 0, 2] = two[:, 1, :, 3] = np.nan
     both = np.isfinite(one) & np.isfinite(two)
     seen = np.ones((4, 9, 14))
-    trial = _Trial(seen, seen > 0, SQUARE_PX, None, seed)
+    trial = Trial(seen, seen > 0, SQUARE_PX, None, seed)
     errors = {SQUARE_PX.tobytes(): one, (-SQUARE_PX).tobytes(): two}
 
     def told(offset_px: Array, folds: int, *, noise: bool = False) -> Array:
@@ -339,6 +341,22 @@ def test_an_edge_seen_at_thirds_of_a_pixel_is_where_it_is_said_to_be(seed: int) 
         assert doubtful_shifts(burst.amplitude, wrong * burst.offset_px, valid=burst.valid)
 
 
+@pytest.mark.parametrize(("cell_px", "seed"), [(7, 300), (4, 304), (7, 305)])
+def test_edges_at_one_place_of_all_pixels_are_where_they_are_said_to_be(
+    cell_px: int, seed: int
+) -> None:
+    """Chequers of whole pixels: a smooth picture predicts half the shifts best, a solver knows."""
+    away_m, camera = 6.75, camera_preset("o3m151")
+    cell_m = 0.9985 * cell_px * away_m * camera.grid.pitch_mm[0] / camera.optics.focal_length_mm
+    tiles, turn_rad = Checker(cell_m, 0.06, 0.6), (0.053, 0.058, 0)
+    wall = Plane(centre_m=(0, 0, away_m), turn_rad=turn_rad, reflectance=tiles)
+    burst = simulate_tof(Scene((), wall), camera, seed=seed).burst
+    for frames in (burst.amplitude, averaged(burst, "phasor")):
+        assert doubtful_shifts(frames, burst.offset_px, burst.valid) is None
+        for wrong in (-1, 2):
+            assert doubtful_shifts(frames, wrong * burst.offset_px, burst.valid)
+
+
 @pytest.mark.parametrize("wave", [(0.79, -0.03), (0.26, -0.9), (0.11, 0.77)])
 @pytest.mark.parametrize("square", [False, True])
 def test_a_lone_grating_beyond_the_nyquist_frequency_doubts_nothing(
@@ -373,6 +391,7 @@ def test_a_lone_wave_is_taken_off_whole(
     rng = np.random.default_rng(seed)
     assume(np.hypot(down * rows, right * cols) > 2.5)
     assume(abs(down) < 0.45 and 0.05 < right < 0.45)
+    assume(min((0.5 - abs(down)) * rows, (0.5 - right) * cols) > 1)  # beside its mirror image
     row, col = np.indices((rows, cols))
     phase = rng.uniform(0, 6, 3)[:, None, None]
     y = np.cos(2 * np.pi * (down * row + right * col) + phase)
@@ -455,7 +474,7 @@ def test_parts_without_pixels_say_nothing() -> None:
     y = _frames(_boxes, SCATTERED_PX, SIGMA)
     seen = np.ones(y.shape, bool)
     seen[:, :9, :12] = False
-    trial = _Trial(y, seen, SCATTERED_PX, None)
+    trial = Trial(y, seen, SCATTERED_PX, None)
     parts = trial.sure_by_part(-SCATTERED_PX, 2, 4)
     assert 0 < len(parts) < 16
     assert np.all(np.isfinite(parts))

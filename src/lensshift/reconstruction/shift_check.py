@@ -7,20 +7,23 @@ neighbours from the other frames predict them best.
 
 from __future__ import annotations
 
-import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lensshift.core.arrays import Array, Mask, Shifts
 from lensshift.core.errors import QualityWarning
-from lensshift.core.gaussian import MAD_TO_SIGMA
-from lensshift.forward.blur import GaussianBlur
-from lensshift.forward.least_squares import smooth_fit
-from lensshift.forward.model import forward_model
 from lensshift.reconstruction.glance import FAR_PX, Glance
+from lensshift.reconstruction.held_out import (
+    FOLDS,
+    SAME_PX,
+    SUSPICIOUS,
+    Trial,
+    by_solver,
+    least_sure,
+)
 from lensshift.reconstruction.quick_shifts import (
     found_shifts,
     found_turns,
@@ -29,16 +32,7 @@ from lensshift.reconstruction.quick_shifts import (
     without_lone_waves,
 )
 
-# Of fewer held-out pixels nothing follows.
-LEAST_HELD_OUT = 50
-# Of each trial the pixels of one fold, drawn at random, are held out.
-FOLDS, CONFIRMING_FOLDS = 4, 2
-# A smooth fit of little stiffness follows the scene; what it assumes of the blur hardly matters.
-STIFFNESS, ITERATIONS, BLUR_PX, LEAST_SCALE = 0.03, 15, 0.3, 2
-# Errors count up to this many robust deviations, or this part of the spread of the scene.
-CLIP_SIGMAS, CLIP_CONTRAST = 5.0, 0.5
-# Readings whose shifts differ by less from those given are the same.
-SAME_PX = 0.02
+CONFIRMING_FOLDS = 2  # of four
 # Fewer frames fit a picture however they turn; and in each quarter of it turning has to predict
 # better by so many standard errors, and in no sixteenth worse by as many.
 LEAST_TURNING, LEAST_QUARTER_T = 4, 2.0
@@ -46,9 +40,9 @@ LEAST_TURNING, LEAST_QUARTER_T = 4, 2.0
 AGREED_PX, AGREED_SHARE = 0.1, 0.25
 # How much worse the given shifts have to predict: for a closer look, to name a mistake, and where
 # none explains it; and by how many standard errors. Of 1266 right bursts only lone gratings beyond
-# the Nyquist frequency were doubted, which are taken off since (`without_lone_waves`); of 96 wrong
-# ones 3 were not (two that cannot be told apart).
-SUSPICIOUS, NAMED, UNNAMED, LEAST_T = 1.03, 1.05, 1.2, 5.0
+# the Nyquist frequency were doubted, which are taken off since (`without_lone_waves`), and later
+# chequers of whole pixels (`by_solver`); of 96 wrong ones 3 were not (two that look the same).
+NAMED, UNNAMED, LEAST_T = 1.05, 1.2, 5.0
 # Of shifts that the frames tell by other means as well, the usual 3 sigma are enough.
 SURE = 3.0
 # Where no mistake explains it so many frames have to be off; fewer are left out by the solvers.
@@ -138,6 +132,8 @@ def doubtful_shifts(look: Glance, scale: int) -> Doubt | None:
     alone does to a reading does not count. So is a reading that predicts no worse if the frames
     seem to lie just where it has them, and by five standard errors not where they were told.
     A wave that holds most of what there is passes for its alias; what is left without it decides.
+    What all this doubts the learned solver has to predict better as well: it knows edges, and that
+    they do not tell shifts where all lie at one place of the pixels.
 
     Parameters
     ----------
@@ -145,9 +141,9 @@ def doubtful_shifts(look: Glance, scale: int) -> Doubt | None:
     """
     given, seen = look.given_px, look.seen
     upright = len(given) < LEAST_TURNING or look.about_px is not None
-    trial = _Trial(look.values, seen, given, look.about_px)
+    trial = Trial(look.values, seen, given, look.about_px)
     smooth, found = look.smooth, look.found_px
-    first = _doubt(trial, smooth, found, scale) or (None if upright else _turn(trial, smooth))
+    first = _doubt([trial], smooth, found, scale) or (None if upright else _turn(trial, smooth))
     if first is None:
         return None
     # Other brightness of a frame looks like a shift of an edge; without it, slow slopes show none.
@@ -161,35 +157,47 @@ def doubtful_shifts(look: Glance, scale: int) -> Doubt | None:
         again = low_passed(values, seen)
         if again is None:
             return None
-        trial = _Trial(values, seen, given, look.about_px)
+        trial = Trial(values, seen, given, look.about_px)
         found = found_shifts(again, given)
-        told = _doubt(trial, again, found, scale) or (None if upright else _turn(trial, again))
+        told = _doubt([trial], again, found, scale) or (None if upright else _turn(trial, again))
         if told is None:
-            break
-    return told
+            return None
+    if told is None or told.mistake == TURNING:
+        return told
+    judges = by_solver(alike, seen, given, look.about_px)
+    return _doubt(judges, look.smooth, look.found_px, scale, final=True)
 
 
-def surely_better(look: Glance, offset_px: Shifts) -> bool:
-    """Return whether other shifts of all frames predict pixels better, beyond chance."""
+def surely_better(look: Glance, offset_px: Shifts, *, solved: bool = False) -> bool:
+    """Return whether other shifts of all frames predict pixels better, beyond chance.
+
+    Parameters
+    ----------
+    solved : whether the solver is asked, for some 30 times the time of a smooth picture
+    """
     other_px = offset_px[look.numbers]
-    trial = _Trial(look.values, look.seen, look.given_px, look.about_px)
-    sure = trial.compare(other_px - other_px.mean(axis=0), CONFIRMING_FOLDS)[1]
-    return sure >= SURE
+    facts = look.values, look.seen, look.given_px, look.about_px
+    judges = by_solver(*facts) if solved else (Trial(*facts),)
+    return least_sure(judges, other_px - other_px.mean(axis=0), CONFIRMING_FOLDS)[1] >= SURE
 
 
-def _doubt(trial: _Trial, smooth: Array, found: Shifts, scale: int) -> Doubt | None:
-    given = trial.given_px
+def _doubt(
+    trials: Sequence[Trial], smooth: Array, found: Shifts, scale: int, *, final: bool = False
+) -> Doubt | None:
+    """Return the doubt that trials raise; where they are final, of what they predict alone."""
+    given = trials[0].given_px
     span_px = float(np.ptp(given, axis=0).max())
     if span_px > FAR_PX:  # beyond the reach of the search
         near = found_shifts(smooth, np.zeros_like(given))
-        found = near if trial.compare(near, 1)[0] > trial.compare(found, 1)[0] else found
+        found = near if least_sure(trials, near, 1)[0] > least_sure(trials, found, 1)[0] else found
     apart_px = found - given
     if np.abs(apart_px).max() < min(AGREED_PX, AGREED_SHARE * span_px or AGREED_PX):
         return None
     readings, square_px2 = _readings(given, found, scale), float(np.sum(apart_px**2))
+    readings = _near_the_best(readings, trials) if final else readings
     sure_px2 = LEAST_T**2 * found_variance_px2(smooth, found)
     first = (found, given / scale, given * scale)
-    alike = all(trial.compare(other, 1)[0] < SUSPICIOUS for other in first)
+    alike = not final and all(least_sure(trials, one, 1)[0] < SUSPICIOUS for one in first)
     off = np.abs(apart_px - np.median(apart_px, axis=0)).max(axis=1) >= LEAST_OFF_PX
     doubts, close = [], []
     for mistake, other in readings:
@@ -199,8 +207,9 @@ def _doubt(trial: _Trial, smooth: Array, found: Shifts, scale: int) -> Doubt | N
         told = chance <= CHANCE and (1.0 - left) * square_px2 >= sure_px2
         if alike and not told:
             continue
-        ratio, sure = trial.compare(other, CONFIRMING_FOLDS)
-        if (sure >= LEAST_T and ratio >= NAMED) or (told and ratio >= 1.0):
+        ratio, t = least_sure(trials, other, FOLDS if final else CONFIRMING_FOLDS)
+        sure = t >= LEAST_T
+        if (sure and ratio >= NAMED) or (told and (sure if final else ratio >= 1.0)):
             doubts.append(Doubt(mistake, ratio, _factor(given, other), told))
             close += doubts[-1:] if left <= UNEXPLAINED else []
     likely = max((doubt.ratio for doubt in doubts), default=0.0) / SUSPICIOUS
@@ -212,7 +221,16 @@ def _doubt(trial: _Trial, smooth: Array, found: Shifts, scale: int) -> Doubt | N
     return None if few or best.ratio < UNNAMED else best
 
 
-def _turn(trial: _Trial, smooth: Array) -> Doubt | None:
+def _near_the_best(
+    readings: list[tuple[str, Shifts]], trials: Sequence[Trial]
+) -> list[tuple[str, Shifts]]:
+    """Return the readings that may predict best: one fold and one width tell the others apart."""
+    ratios = [trials[0].compare(other, 1)[0] for _, other in readings]
+    least = max(1.0, max(ratios) / UNNAMED)
+    return [reading for reading, ratio in zip(readings, ratios, strict=True) if ratio >= least]
+
+
+def _turn(trial: Trial, smooth: Array) -> Doubt | None:
     """Return the doubt that frames turn or grow as well, if that predicts them better.
 
     Better than other shifts alone, and in all quarters of the picture: what moves does so in some.
@@ -221,7 +239,7 @@ def _turn(trial: _Trial, smooth: Array) -> Doubt | None:
     if turned is None:
         return None
     found_px = found_shifts(smooth, trial.given_px)
-    shifted = _Trial(trial.values, trial.seen, found_px, None)
+    shifted = Trial(trial.values, trial.seen, found_px, None)
     ratios = []
     for other in (trial, shifted):
         ratio, sure = other.compare(turned, CONFIRMING_FOLDS)
@@ -233,87 +251,6 @@ def _turn(trial: _Trial, smooth: Array) -> Doubt | None:
     if min(trial.sure_by_part(turned, CONFIRMING_FOLDS, 4)) < -LEAST_QUARTER_T:
         return None  # something large moved, beside what rests
     return Doubt(TURNING, ratios[0])
-
-
-class _Trial:
-    """Fits to a part of the pixels, and how well they predict the others."""
-
-    def __init__(
-        self, values: Array, seen: Mask, given_px: Shifts, about_px: Array | None, seed: int = 0
-    ) -> None:
-        rng = np.random.default_rng(seed)
-        kind = np.complex64 if np.iscomplexobj(values) else np.float32
-        self.values, self.seen, self.given_px = values.astype(kind), seen, given_px
-        self.about_px = about_px
-        self.fold = rng.integers(0, FOLDS, values.shape)
-        self.noise = rng.standard_normal(values.shape, np.float32)
-        self.cache: dict[tuple[bytes, int, bool], Array] = {}
-
-    def compare(self, other_px: Shifts, folds: int) -> tuple[float, float]:
-        """Return the mean error as given over that of a reading, and how sure it is larger.
-
-        The ratio is the smaller one of that of the frames and that beyond what white noise has;
-        the second number is the difference in its standard errors.
-        """
-        over_sensor = other_px.ndim == 4
-        given_px = self.given_px[:, None, None] if over_sensor else self.given_px
-        if np.abs(other_px - given_px).max() < SAME_PX:
-            return 1.0, 0.0
-        one, two = self._errors(self.given_px, folds), self._errors(other_px, folds)
-        both = np.isfinite(one) & np.isfinite(two)
-        if both.sum() < max(LEAST_HELD_OUT, 0.5 * np.isfinite(one).sum()):
-            return 1.0, 0.0
-        one, two = one[both], two[both]
-        quiet = MAD_TO_SIGMA * min(np.median(one), np.median(two))
-        clip = max(CLIP_SIGMAS * quiet, CLIP_CONTRAST)
-        one, two = np.minimum(one, clip), np.minimum(two, clip)
-        if one.mean() >= SUSPICIOUS * two.mean():
-            noise = [self._errors(o, FOLDS, noise=True) for o in (self.given_px, other_px)]
-            two = two * max(1.0, float(np.nanmean(noise[0]) / np.nanmean(noise[1])))
-        sure = (one.mean() - two.mean()) / max(float(np.std(one - two)), 1e-300)
-        return float(one.mean() / max(two.mean(), 1e-300)), float(sure * np.sqrt(one.size))
-
-    def sure_by_part(self, other_px: Shifts, folds: int, along: int) -> list[float]:
-        """Return the difference of the errors in standard errors, in parts of the picture.
-
-        Parameters
-        ----------
-        along : parts along each axis
-        """
-        apart = self._errors(self.given_px, folds) - self._errors(other_px, folds)
-        rows = [
-            np.array_split(side, along, axis=3) for side in np.array_split(apart, along, axis=2)
-        ]
-        found = []
-        for part in (part for row in rows for part in row):
-            one = part[np.isfinite(part)]
-            if one.size < 2:  # as where most of it is invalid
-                continue
-            found.append(float(one.mean() / max(np.std(one), 1e-300) * np.sqrt(one.size)))
-        return found
-
-    def _errors(self, offset_px: Shifts, folds: int, *, noise: bool = False) -> Array:
-        """Return |error| [fold frame row col] at the pixels held out, NaN elsewhere."""
-        return np.stack([self._fold_errors(offset_px, fold, noise) for fold in range(folds)])
-
-    def _fold_errors(self, offset_px: Shifts, fold: int, noise: bool) -> Array:
-        key = (offset_px.tobytes(), fold, noise)
-        if key not in self.cache:
-            y = self.noise if noise else self.values
-            if self.about_px is not None:
-                offset_px = offset_px[:, None, None] + self.about_px
-            kind = "shift_field_px" if offset_px.ndim == 4 else "offset_px"
-            # What so many frames may show; thirds of a pixel are coarse steps on a grid of halves.
-            scale = max(LEAST_SCALE, math.isqrt(len(y)))
-            model = forward_model(
-                y.shape[1:], scale, **{kind: offset_px}, blur=GaussianBlur(BLUR_PX)
-            )
-            usable = self.seen & model.inside
-            held = usable & (self.fold == fold)
-            A, weight = model.operator, np.where(held, 0.0, usable)
-            error = y - A.forward(smooth_fit(A, y, weight, STIFFNESS, ITERATIONS))
-            self.cache[key] = np.where(held, np.abs(error), np.nan).astype(np.float64)
-        return self.cache[key]
 
 
 def _readings(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[str, Shifts]]:

@@ -121,6 +121,8 @@ def _mended(told: Told, look: Glance, request: Request) -> Told:
     found = corrected_shifts(_averages(part), part.valid, part.offset_px)
     if found is None or not surely_better(look, found.offset_px):
         return told
+    if found.error_px > SAID_PX and not surely_better(look, found.offset_px, solved=True):
+        return told
     used = list(request.frames or range(burst.frame_count))
     if found.error_px > SAID_PX:
         away_px = found.offset_px - part.offset_px
