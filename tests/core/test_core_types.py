@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter, shift
 
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, QualityWarning
@@ -273,6 +274,38 @@ def test_a_mask_of_the_sensor_holds_for_all_frames() -> None:
 def test_arrays_of_four_axes_are_refused_with_their_cure(frames: object, cure: str) -> None:
     with pytest.raises(DataError, match=cure):
         Burst.from_arrays(frames)
+
+
+def drawn(count: int, seed: int) -> np.ndarray:
+    """Return frames [frame row col] of a textured scene that moves by parts of a pixel."""
+    rng = np.random.default_rng(seed)
+    rows, cols = rng.integers(10, 60, 2)
+    scene = gaussian_filter(rng.normal(size=(rows + 4, cols + 4)), 1.5)
+    moved = [shift(scene, one, order=1)[2:-2, 2:-2] for one in rng.uniform(-0.5, 0.5, (count, 2))]
+    return np.array(moved) + 0.01 * rng.normal(size=(count, rows, cols))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_frames_along_another_axis_are_questioned_or_refused(seed: int) -> None:
+    frames = drawn(int(np.random.default_rng(seed).choice([2, 4, 9])), seed)
+    Burst.from_arrays(frames)  # without a warning, which tests take for an error
+    Burst.from_arrays(frames[::-1], offset_px=np.zeros((len(frames), 2)))
+    for axis in (1, 2):
+        turned = np.moveaxis(frames, 0, axis)
+        cure = rf"np.moveaxis\(frames, {axis}, 0\)"
+        with pytest.warns(QualityWarning, match=f"as alike as frames.*{cure}"):
+            Burst.from_arrays(turned)
+        with pytest.raises(DataError, match=f"{len(frames)} offsets.*{cure}"):
+            Burst.from_arrays(turned, offset_px=np.zeros((len(frames), 2)))
+    with pytest.warns(QualityWarning, match="along axis 2"):
+        Burst.from_arrays(np.moveaxis(frames * np.exp(0.1j * frames), 0, 2))
+
+
+def test_one_image_and_colours_are_refused_with_their_cure() -> None:
+    with pytest.raises(DataError, match=r"image\[None\]"):
+        Burst.from_arrays(np.ones((8, 9)))
+    with pytest.raises(DataError, match=r"of colours.*frames.mean\(-1\)"):
+        Burst.from_arrays(np.ones((4, 8, 9, 3)))
 
 
 @pytest.mark.parametrize("pitch_mm", [155.0, (0.155, 155.0)])

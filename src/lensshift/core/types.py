@@ -165,7 +165,8 @@ class Burst(Shown, AsDataset, AsTable):
         Warns
         -----
         QualityWarning
-            If pitch, frequency or distances can hardly be in mm, Hz and m, or stand for none.
+            If pitch, frequency or distances can hardly be in mm, Hz and m, or stand for none, or
+            frames seem to lie along another axis than the first.
         """
         valid = checks.unmasked(valid, amplitude, distance_m)
         given = checks.as_array(amplitude, "amplitude")
@@ -174,6 +175,7 @@ class Burst(Shown, AsDataset, AsTable):
             fields["phasors"] = checks.as_phasors(given, frequencies)
             given = np.abs(given[int(np.argmax(np.asarray(frequencies, np.float64)))])
         frames = checks.as_frames(given, "amplitude")
+        of_axes = checks.doubt_about_axes(frames, offset_px)
         pitch = np.ravel(np.asarray(pitch_mm, dtype=np.float64))
         if pitch.size not in (1, 2):
             raise DataError(f"expected one or two numbers, got {pitch_mm}", field="pitch_mm")
@@ -194,7 +196,7 @@ class Burst(Shown, AsDataset, AsTable):
         doubts = checks.doubts_about_distances(
             frames, burst.distance_m, burst.valid, burst.frequencies_hz
         )
-        for doubt in filter(None, [doubt_about_pitch(max(grid.pitch_mm)), *doubts]):
+        for doubt in filter(None, [of_axes, doubt_about_pitch(max(grid.pitch_mm)), *doubts]):
             warn_quality(doubt)
         return burst
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lensshift.core.burst_checks import cure_of_axes
+from lensshift.core.burst_checks import cure_of_axes, frames_axis
 from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.settings import parse_json
 from lensshift.core.types import Burst, OffsetSource
@@ -25,8 +25,6 @@ from lensshift.io.reading import reading
 FRAME_KEYS = ("amplitude", "frames", "LR")
 _NUMBER = re.compile("-?[0-9]+")  # in a name
 _GREATEST = 1e15  # beyond it sums of squares leave single precision
-# Frames of one scene vary 2 to 20 times less from one to the next than columns do.
-_ALIKE = 0.5
 _STACKS = ("distance_m", "valid")
 _PLAIN = (
     "offset_px", "offset_sigma_px", "affine", "stage_mm", "stage_commanded_mm", "time_s", "phasors",
@@ -84,6 +82,9 @@ def load_image_stack(
         "offset_source": offset_source,
     }
     fields |= {name: value for name, value in given.items() if value is not None}
+    if frame_axis is not None and "offset_px" not in fields:  # axes that were told are no doubt
+        fields["offset_px"] = np.zeros((fields["amplitude"].shape[-3], 2))
+        fields.setdefault("offset_source", "unknown")
     with reading(_label(source)):
         return Burst.from_arrays(**fields)
 
@@ -199,7 +200,7 @@ def _stack(
     if values.ndim != 3:
         problem = f"expected [frame row col], got shape {values.shape}{cure_of_axes(values.shape)}"
         raise DataError(problem, field=field, source=path)
-    if frame_axis is None and _lie_last(values):
+    if frame_axis is None and frames_axis(values) == 2:
         raise DataError(
             f"the {values.shape[-1]} slices of {values.shape} along the last axis are as alike as "
             "frames: if it is [row col frame], give frame axis -1 (--frame-axis last), else 0 "
@@ -208,22 +209,6 @@ def _stack(
             source=path,
         )
     return np.ascontiguousarray(np.moveaxis(values, frame_axis or 0, 0))
-
-
-def _lie_last(values: NDArray[Any]) -> bool:
-    """Tell whether frames seem to lie along the last axis of a stack of numbers, not the first.
-
-    Few frames of larger pictures, which change much less along the one axis than along the other:
-    the variance about the mean along an axis, noise alone has as much along both.
-    """
-    count = values.shape
-    if values.dtype.kind not in "iuf" or not 1 < count[2] < min(count[:2]):
-        return False
-    plain = np.where(np.isfinite(values), values, 0).astype(np.float32)
-    first, last = (
-        float(np.mean(np.var(plain, axis=axis, ddof=1, dtype=np.float64))) for axis in (0, 2)
-    )
-    return last < _ALIKE * first
 
 
 def _usable(frames: NDArray[Any], path: Path, field: str = "") -> NDArray[Any]:
