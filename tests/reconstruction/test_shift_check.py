@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from pixel_camera import SQUARE_PX, Array, edge_scene, make_burst, photograph
 from lensshift.camera import camera_preset, named_pattern_px, simulate_tof
 from lensshift.core.errors import QualityWarning
 from lensshift.core.types import ShiftField, Status
+from lensshift.pipeline import demo_burst
 from lensshift.reconstruction import glance, shift_check
 from lensshift.reconstruction.held_out import Trial
 from lensshift.reconstruction.pixel_response import averaged
@@ -478,3 +480,15 @@ def test_parts_without_pixels_say_nothing() -> None:
     parts = trial.sure_by_part(-SCATTERED_PX, 2, 4)
     assert 0 < len(parts) < 16
     assert np.all(np.isfinite(parts))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_wrong_shifts_of_light_below_zero_beside_distances_are_told(seed: int) -> None:
+    # Of a camera that takes a dark frame off; the phasor channel refuses such light.
+    right = demo_burst(seed=seed)[0]
+    distance_m = 2.0 + 0.5 * (right.amplitude > 0.5)
+    wrong = replace(
+        right, amplitude=right.amplitude - 0.3, distance_m=distance_m, offset_px=-right.offset_px
+    )
+    with pytest.warns(QualityWarning, match="sign"):
+        reconstruct(wrong, channel="amplitude")

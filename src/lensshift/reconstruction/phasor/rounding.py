@@ -81,8 +81,12 @@ def differ_by_rounding(part: Burst) -> bool:
     if part.phasors is not None:
         z = phasor_frames(part)
         return within_rounding(np.stack([z.real, z.imag]), np.stack([valid, valid]))
-    several = len(part.frequencies_hz) > 1
-    if several or (part.distance_m is None and part.amplitude.dtype.kind != "c"):
+    light_alone = part.amplitude.dtype.kind != "c" and (
+        part.distance_m is None
+        or len(part.frequencies_hz) > 1
+        or np.min(part.amplitude, where=valid, initial=0) < 0  # less a dark frame, or a pattern
+    )
+    if light_alone:
         return within_rounding(part.amplitude, valid)
     frames = polar_frames(part)
     if within_rounding(frames.parts, np.stack([valid, valid])):
