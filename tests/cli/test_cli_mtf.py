@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from scipy.special import ndtr
 from stand_in import Call, answer
 
 from lensshift.core.types import Burst
-from lensshift.io import save_burst
+from lensshift.io import export_image, save_burst
 
 SIGMA_PX = 0.6
 MTF50_CPP = np.sqrt(np.log(2) / 2) / np.pi / SIGMA_PX
@@ -36,6 +37,27 @@ def test_numbers_units_and_csv(call: Call, tmp_path: Path) -> None:
     assert np.interp(10 * MTF50_CPP, table["frequency_lpmm"], table["modulation"]) == pytest.approx(
         0.5, abs=0.005
     )
+
+
+@pytest.mark.parametrize("verb", ["mtf", "chart"])
+@pytest.mark.parametrize("writer", ["ours", "imagej", "ome", "camera"])
+def test_the_pitch_that_a_tiff_tells(call: Call, tmp_path: Path, verb: str, writer: str) -> None:
+    name = "edge.ome.tif" if writer == "ome" else "edge.tif"
+    path, image = tmp_path / name, edge().astype(np.float32)
+    if writer == "ours":
+        export_image(image, path, pitch_mm=(0.1, 0.1))
+    elif writer == "ome":
+        tifffile.imwrite(path, image, metadata={"PhysicalSizeX": 100.0, "PhysicalSizeY": 100.0})
+    else:  # 72 to the inch are those of a printer
+        told = {"imagej": True, "metadata": {"unit": "um"}} if writer == "imagej" else {}
+        per_unit = (0.01, 0.01) if told else (72, 72)
+        tifffile.imwrite(path, image, resolution=per_unit, photometric="minisblack", **told)
+    for asked, pitch_mm in (((), 0.1 if writer != "camera" else 1.0), (("--pitch-mm", "0.2"), 0.2)):
+        found = answer(call, "evaluate", verb, path, *asked)
+        assert found["unit"] == ("cycles/px" if pitch_mm == 1.0 else "LP/mm")
+        seen = found["edges"][0]["mtf50"]
+        seen = seen["value"] if verb == "mtf" else seen
+        assert seen == pytest.approx(MTF50_CPP / pitch_mm, rel=0.01)
 
 
 def test_the_mean_leaves_out_what_cannot_be_used(call: Call, tmp_path: Path) -> None:

@@ -27,7 +27,8 @@ PitchOption = Annotated[
     str | None,
     typer.Option(
         "--pitch-mm",
-        help="Pixel pitch of an image: one number, or row,col. Without it lengths are in pixels.",
+        help="Pixel pitch of an image: one number, or row,col; default: as a TIFF of ImageJ, OME "
+        "or this package tells, else lengths are in pixels.",
     ),
 ]
 RegionOption = Annotated[
@@ -121,7 +122,7 @@ def measured_image(
     else:
         keys_of(key, path)
         image = load_frames(path)
-    return Measured(_one_frame(image, path, frame), *_given_pitch(pitch_mm))
+    return Measured(_one_frame(image, path, frame), *_given_pitch(pitch_mm, path))
 
 
 def _pitch_of(grid: Grid, scale: int, path: Path, pitch_mm: str | None) -> tuple[Pitch, bool]:
@@ -130,14 +131,17 @@ def _pitch_of(grid: Grid, scale: int, path: Path, pitch_mm: str | None) -> tuple
         if pitch_mm is not None:
             raise typer.BadParameter(f"{path} holds its own pitch; leave out --pitch-mm")
         return grid.pitch_mm, True
-    return _given_pitch(pitch_mm)
+    return _given_pitch(pitch_mm, path)
 
 
-def _given_pitch(pitch_mm: str | None) -> tuple[Pitch, bool]:
+def _given_pitch(pitch_mm: str | None, path: Path) -> tuple[Pitch, bool]:
+    """Return the pitch that is given, else that of a TIFF whose writer tells it; if any is."""
     from lensshift.core.units import doubt_about_pitch
+    from lensshift.io.image_file import pixel_size_mm
 
     if pitch_mm is None:
-        return (1.0, 1.0), False
+        told = pixel_size_mm(path)
+        return told or (1.0, 1.0), told is not None
     given = parse_pitch_mm(pitch_mm)
     if doubt := doubt_about_pitch(max(given)):
         warnings.warn(doubt, QualityWarning, stacklevel=2)
@@ -176,7 +180,7 @@ def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
     if taken:
         keys_of(asked.key, path)
         levels = photograph.load_photograph(path, frame=asked.frame)
-        read = Measured(levels, *_given_pitch(asked.pitch_mm))
+        read = Measured(levels, *_given_pitch(asked.pitch_mm, path))
     else:
         read = measured_of(asked)
     if curve is None and suffix in JPEG_SUFFIXES:
