@@ -58,6 +58,20 @@ def test_interval_of_a_mean_covers_as_often_as_it_says() -> None:
     assert np.isnan(mean_interval([1.0])[1]).all()
 
 
+def test_the_interval_of_a_ratio_holds_ratios() -> None:
+    rng = np.random.default_rng(4)
+    for count in (2, 3):
+        inside = 0
+        for _ in range(300):
+            values = np.exp(rng.normal(0.0, 0.4, count)).tolist()
+            mean, (low, high) = mean_interval(values)
+            assert 0.0 < low <= mean <= high
+            inside += low <= np.exp(0.08) <= high  # the mean of such ratios
+        assert inside / 300 >= 0.9
+    mean, (low, high) = mean_interval([0.1, 0.3], signed=True)
+    assert low < 0.0 < mean < high
+
+
 @pytest.mark.parametrize("claim", CRITERIA)
 def test_every_verdict_can_take_every_value(claim: str) -> None:
     def inside(low: float, high: float) -> float:
@@ -76,9 +90,11 @@ def test_every_verdict_can_take_every_value(claim: str) -> None:
         for low, high in zip([wide[0] - 1.0, *wide], [*wide, wide[-1] + 1.0], strict=True):
             if low < high:
                 seen.add(verdict(claim, good | {name: exactly(inside(low, high))}))
-        # However few the draws, what is beyond the tolerated range is refuted.
+        # What is beyond the tolerated range is refuted, unless the draws are too few to tell.
         far = one.tolerated[0] - 0.1
-        assert verdict(claim, good | {name: (far, (-np.inf, np.inf))}) == "refuted"
+        assert verdict(claim, good | {name: (far, (-np.inf, far))}) == "refuted"
+        for few in ((-np.inf, one.claimed[0]), (-np.inf, np.inf), (np.nan, np.nan)):
+            assert verdict(claim, good | {name: (far, few)}) == "qualified"
         # What a yardstick gives is shown and decides nothing.
         assert verdict(claim, good | {f"{name}, tikhonov": exactly(far)}) == "confirmed"
     assert seen == set(VERDICTS)

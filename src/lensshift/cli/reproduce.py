@@ -35,11 +35,7 @@ def reproduce(current: Session, asked: _ReproduceOptions) -> None:
             on_step=progress.count, command=shlex.join(["lensshift", *sys.argv[1:]]),
         )  # fmt: skip
     for claim in found.claims:
-        low, high = claim.interval
-        current.say(
-            f"{claim.verdict:<10} {claim.id:<32} paper: {claim.paper}; "
-            f"ours: {claim.ours:.3g} ({low:.3g} to {high:.3g})"
-        )
+        current.say(f"{claim.verdict:<10} {claim.id:<32} paper: {claim.paper}; {claim.said}")
     if found.not_done:
         current.say("not done: " + "; ".join(found.not_done))
     current.say(f"{found.seconds:.0f} s, wrote " + ", ".join(map(str, found.files)))

@@ -23,7 +23,8 @@ body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 62rem; marg
 h1 { font-size: 1.7rem; } h2 { margin-top: 2.4rem; border-bottom: 1px solid #ddd; }
 p { max-width: 46rem; } figure { margin: 1.2rem 0; } img { max-width: 100%; height: auto; }
 figcaption { color: #555; font-size: .9rem; max-width: 46rem; }
-table { border-collapse: collapse; font-size: .92rem; } .wide { overflow-x: auto; }
+table { border-collapse: collapse; font-size: .92rem; } .wide { overflow-x: auto;
+  margin: 1rem 0; }
 th, td { text-align: left; padding: .3rem .8rem .3rem 0; border-bottom: 1px solid #eee;
   vertical-align: top; } td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
 .confirmed, .qualified, .refuted { font-weight: 600; white-space: nowrap; }

@@ -22,8 +22,8 @@ _ANY = float("inf")
 class Criterion:
     """What one number says of a claim.
 
-    tolerated : range that the number itself must lie in for "qualified"; beyond: "refuted". The
-        interval plays no part, so that fewer draws save no claim.
+    tolerated : where the number lies beyond this range, and no part of the interval that chance
+        gives it in the one claimed: "refuted". Draws too few to tell leave "qualified"
     """
 
     meaning: str  # of the number
@@ -33,9 +33,13 @@ class Criterion:
     def judge(self, number: Number) -> Verdict:
         """Return what follows from a number."""
         value, (low, high) = number
-        if self.claimed[0] <= low <= high <= self.claimed[1]:
+        least, most = self.claimed
+        if least <= low <= high <= most:
             return "confirmed"
-        return "qualified" if self.tolerated[0] <= value <= self.tolerated[1] else "refuted"
+        if self.tolerated[0] <= value <= self.tolerated[1]:
+            return "qualified"
+        worst = value in (low, high)  # of all that was tried: chance plays no part
+        return "refuted" if worst or high < least or low > most else "qualified"
 
 
 # Up to here edge and grating agree, or a grating reaches the limit: to what the issue of this
@@ -122,6 +126,13 @@ class Claim:
         return next(iter(self.numbers.values()))[1]
 
     @property
+    def said(self) -> str:
+        """What our number is, and its interval unless it is one value."""
+        low, high = self.interval
+        between = "" if low == high else f" ({low:.3g} to {high:.3g})"
+        return f"{criterion(self.id, next(iter(self.numbers))).meaning}: {self.ours:.3g}{between}"
+
+    @property
     def verdict(self) -> Verdict:
         """What follows."""
         return verdict(self.id, self.numbers)
@@ -146,8 +157,11 @@ def exactly(value: float) -> Number:
     return value, (value, value)
 
 
-def mean_interval(values: Sequence[float]) -> Number:
-    """Return the mean of finite values and 95 % of it: a bootstrap, for few of them Student's t."""
+def mean_interval(values: Sequence[float], *, signed: bool = False) -> Number:
+    """Return the mean of finite values and 95 % of it: a bootstrap, for few of them Student's t.
+
+    That of ratios and sizes, which have no sign, in their logarithms.
+    """
     sample = np.asarray(values, dtype=np.float64)
     sample = sample[np.isfinite(sample)]
     mean = float(sample.mean()) if sample.size else float("nan")
@@ -156,8 +170,12 @@ def mean_interval(values: Sequence[float]) -> Number:
     if len(sample) < _ENOUGH:
         from scipy.stats import t
 
-        half = float(t.ppf(0.975, len(sample) - 1) * sample.std(ddof=1) / np.sqrt(len(sample)))
-        return mean, (mean - half, mean + half)
+        share = float(t.ppf(0.975, len(sample) - 1) / np.sqrt(len(sample)))
+        if signed or sample.min() <= 0.0:
+            half = share * float(sample.std(ddof=1))
+            return mean, (mean - half, mean + half)
+        factor = float(np.exp(share * np.log(sample).std(ddof=1)))
+        return mean, (mean / factor, mean * factor)
     draws = np.random.default_rng(0).choice(sample, (_DRAWS, len(sample))).mean(axis=1)
     low, high = np.percentile(draws, (2.5, 97.5)).tolist()
     return mean, (low, high)

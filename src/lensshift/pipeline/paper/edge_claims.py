@@ -120,8 +120,10 @@ def edge_and_grating(
     }
 
 
-def _over(runs: list[EdgeRun], number: Callable[[EdgeRun], float]) -> Number:
-    return mean_interval([number(run) for run in runs])
+def _over(
+    runs: list[EdgeRun], number: Callable[[EdgeRun], float], *, signed: bool = False
+) -> Number:
+    return mean_interval([number(run) for run in runs], signed=signed)
 
 
 def _rms(one: Floats, other: Floats) -> float:
@@ -146,7 +148,7 @@ def _frame_at_limit(runs: list[EdgeRun]) -> Claim:
 
 
 def _quantisation(runs: list[EdgeRun]) -> Claim:
-    share = _over(runs, lambda run: 1.0 - run.departures[0] / run.departures[BITS[0]])
+    share = _over(runs, lambda run: 1.0 - run.departures[0] / run.departures[BITS[0]], signed=True)
     by_bits = ", ".join(
         f"{bits or 'no'} bit {np.mean([run.departures[bits] for run in runs]):.4f}"
         for bits in (0, *BITS)
@@ -211,10 +213,10 @@ def _near_half_pixel(runs: list[EdgeRun], gratings: list[GratingRun]) -> Claim:
             for one in gratings
             if 2.0 <= one.frequency_lpmm <= 5.0
         ]
-        over = [np.mean((run.edges[kind].mtf.modulation - half)[between]) for run in runs]
+        over = [float(np.mean((r.edges[kind].mtf.modulation - half)[between])) for r in runs]
         numbers |= {
-            f"edge{whose}": mean_interval([float(one) for one in over]),
-            f"grating{whose}": mean_interval(above),
+            f"edge{whose}": mean_interval(over, signed=True),
+            f"grating{whose}": (float(np.mean(above)), span(above)),  # of the frequencies
             f"agree{whose}": exactly(found["agree"]),
         }
     return Claim(

@@ -34,6 +34,7 @@ _PAPER = (
 )
 # Through the left small cube: LR row and columns.
 _ROW, _COLS = 11, (1, 17)
+_UNITS = {"px": "px", "lpmm": "LP/mm", "db": "dB", "mm": "mm"}
 _TABLES = {
     "patterns": "Finer patterns, every frame exposed alike",
     "errors": "Shifts that are not where they were planned",
@@ -65,7 +66,7 @@ def write_page(found: Reproduction, path: Path) -> None:
         "reconstruction does not know. The simulator traces the lens, casts rays at the scene and "
         "averages phasors over pixels; it shares no code with the model that the reconstruction "
         "inverts. The reconstruction assumes a pixel of "
-        f"{found.response_px:.3f} px ({found.response_error_px:.3f} px), which calibrate measures "
+        f"{found.response_px:.3f} +- {found.response_error_px:.3f} px, which calibrate measures "
         "on the edge card of this bench (the default undoes a square pixel "
         "at most, 0.289 px, and leaves the lens); what the paper's 0.30 px gives stands beside it. "
         "Intervals are 95 % over noise, shift errors and places of the edge on the pixels; where "
@@ -87,27 +88,24 @@ def write_page(found: Reproduction, path: Path) -> None:
 
 
 def _claim_tables(page: Page, found: Reproduction) -> None:
-    told = ("paper", "ours", "interval", "verdict", "why")
-    page.table(
-        [
-            {"claim": claim.statement} | {name: getattr(claim, name) for name in told}
-            for claim in found.claims
-        ]
-    )
+    told = {"claim": "statement", "paper": "paper", "measured": "said"}
+    told |= {"verdict": "verdict", "why": "why"}
+    page.table([{k: getattr(claim, name) for k, name in told.items()} for claim in found.claims])
     page.text(
         "What decides: the same ranges for every run. A claim is confirmed if the intervals of "
         "all its numbers lie in the range claimed, refuted if a number lies beyond the range "
-        "tolerated, and "
-        "qualified otherwise. Claims on resolution need edge and grating. What tikhonov gives, "
-        "with a fixed weight and so linear, stands below the default: it shows how much of a "
-        "verdict is the prior's, and decides nothing."
+        "tolerated and its interval beyond the one claimed, and qualified otherwise: so, too, "
+        "where few draws tell neither. Claims on resolution need edge and grating. What tikhonov "
+        "gives, with a fixed weight and so linear, stands below the default: it shows how much of "
+        "a verdict is the prior's, and decides nothing."
     )
     rows: list[dict[str, Any]] = []
     for claim in found.claims:
         for name, (ours, interval) in claim.numbers.items():
             by = criterion(claim.id, name)
             row = {"claim": claim.id, "number": f"{name}: {by.meaning}", "ours": ours}
-            row |= {"interval": interval, "claimed": by.claimed, "tolerated": by.tolerated}
+            row |= {"interval": "" if len(set(interval)) == 1 else interval}
+            row |= {"claimed": by.claimed, "tolerated": by.tolerated}
             rows.append(row | {"verdict": by.judge((ours, interval))})
     page.table(rows)
 
@@ -198,7 +196,7 @@ def _edge_section(page: Page, found: Reproduction) -> None:
 def _edge_beside_grating(runs: list[Any], waves: list[Any], kind: str) -> dict[str, Any]:
     edge = np.interp(frequencies(waves), FREQUENCY_LPMM, mean_curve(runs, kind))
     both = zip(frequencies(waves), edge, mean_gratings(waves, kind), strict=True)
-    told = {f"{at:g}": f"{one:.2f} / {other:.2f}" for at, one, other in both}
+    told = {f"{at:g}": f"{one:.2f} / {round(other, 2) + 0.0:.2f}" for at, one, other in both}
     return {"edge / grating at LP/mm": kind} | told
 
 
@@ -265,8 +263,16 @@ def _beyond_section(page: Page, found: Reproduction) -> None:
     page.heading("Beyond the paper")
     for name, rows in found.beyond.items():
         page.text(_TABLES[name])
-        page.table(rows)
+        page.table([{_in_words(key): value for key, value in row.items()} for row in rows])
         page.text(remark(name, rows))
+
+
+def _in_words(key: str) -> str:
+    """Return the name of a number of a table with its unit, as people write them."""
+    if key == "grating_5_lpmm":
+        return "left of a grating of 5 LP/mm"
+    name, _, unit = key.rpartition("_")
+    return f"{name} ({_UNITS[unit]})".replace("_", " ") if unit in _UNITS else key.replace("_", " ")
 
 
 def _doubled(image: Any) -> Any:
