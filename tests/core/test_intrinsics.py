@@ -1,5 +1,7 @@
 """Where pixels look, and the points that follow: closed forms, inverses, properties."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -195,3 +197,24 @@ def test_a_focal_length_in_metres_or_micrometres_is_questioned(focal_length_mm: 
         Pinhole.of_focal_length(GRID, focal_length_mm)
     with pytest.warns(QualityWarning, match="right unit"):
         Pinhole.centred(GRID, 0.045)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_intrinsics_of_an_image_of_another_size_are_questioned(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid, scale = Grid((int(rng.integers(16, 99)), int(rng.integers(16, 99))), (0.1, 0.1)), 2
+    middle = Pinhole.of_field(grid, np.deg2rad(rng.uniform(10.0, 90.0)))
+    right = replace(middle, cx_px=middle.cx_px * rng.uniform(0.96, 1.04))  # as lenses are mounted
+    fine = right.refine(scale)
+    result = make_result(
+        distance_m=Estimate(np.full(grid.refine(scale).shape, 2.0)),
+        amplitude=None, grid=grid.refine(scale), intrinsics=fine, flying=None,
+    )  # fmt: skip
+    result.point_cloud()  # without a warning, which tests take for an error
+    for wrong in (right, fine.refine(2), right.refine(7)):
+        with pytest.warns(QualityWarning, match="of another size"):
+            result.point_cloud(wrong)
+    with pytest.warns(QualityWarning, match="focal length"):
+        result.point_cloud(replace(fine, fx_px=0.05 * fine.cx_px))  # of millimetres
+    with pytest.raises(DataError, match=r"Pinhole\(K"):
+        result.point_cloud(np.eye(3))  # type: ignore[arg-type]

@@ -216,3 +216,9 @@ def test_stray_light_that_is_none_is_refused():
             reconstruct(made)
     with pytest.raises(ValueError, match="sigma_px"):
         StrayLight(0.01, float("nan"))
+
+
+def test_numbers_are_no_stray_light() -> None:
+    burst = Burst.from_arrays(np.ones((4, 8, 9)), offset_px=np.zeros((4, 2)))
+    with pytest.raises(TypeError, match=r"expected StrayLight\(share, sigma_px\), got \(0.02"):
+        reconstruct(burst, stray_light=(0.02, 4.0, 0.002))  # type: ignore[arg-type]

@@ -9,8 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError
-from lensshift.core.intrinsics import Pinhole, PixelDirections
-from lensshift.core.units import doubt_about_distance, doubt_about_units, unambiguous_range_m
+from lensshift.core.intrinsics import Intrinsics, Pinhole, PixelDirections
+from lensshift.core.units import (
+    doubt_about_distance,
+    doubt_about_focal_length,
+    doubt_about_units,
+    unambiguous_range_m,
+)
 
 LEAST_SIZE = 1e-100  # of frames: squares of smaller values, and of its inverse, are no doubles
 # Of the usual distance; numbers that stand for none lie farther from all that were measured.
@@ -196,6 +201,21 @@ def check_intrinsics(given: Any, shape: tuple[int, int]) -> None:
     elif not isinstance(given, Pinhole):
         cure = "Pinhole(K[0, 0], K[1, 1], K[0, 2], K[1, 2], *dist.ravel()) of those of OpenCV"
         raise DataError(f"expected {cure}, got {type(given).__name__}", field="intrinsics")
+
+
+def doubt_about_intrinsics(given: Intrinsics, shape: tuple[int, int]) -> str:
+    """Say why a pinhole can hardly be that of an image of this shape; or ""."""
+    if not isinstance(given, Pinhole):
+        return ""
+    rows, cols = shape
+    across, down = 2.0 * given.cx_px + 1.0, 2.0 * given.cy_px + 1.0  # of what it is the middle
+    if abs(across / cols - down / rows) < 0.1 * across / cols and not 0.75 < across / cols < 1.33:
+        return (
+            f"intrinsics: the principal point ({given.cx_px:g}, {given.cy_px:g}) is the middle of "
+            f"{across:.0f} x {down:.0f} pixels, not of these {cols} x {rows}; are they those of an "
+            "image of another size? intrinsics.refine(scale) is for one that is finer"
+        )
+    return doubt_about_focal_length(given.fx_px, cols)
 
 
 def as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:

@@ -363,6 +363,11 @@ class Reconstruction(Shown, AsDataset):
         ------
         ValueError
             If there is no distance channel, or nobody knows where the pixels look.
+
+        Warns
+        -----
+        QualityWarning
+            If the intrinsics can hardly be those of this image.
         """
         if self.distance_m is None:
             raise ValueError("expected a distance channel for points, this result has none")
@@ -372,6 +377,9 @@ class Reconstruction(Shown, AsDataset):
                 "expected intrinsics for points, the burst had none; give "
                 "Pinhole.of_field(result.grid, width_rad) or Pinhole.of_focal_length"
             )
+        checks.check_intrinsics(known, self.grid.shape)
+        if doubt := checks.doubt_about_intrinsics(known, self.grid.shape):
+            warn_quality(doubt)
         return make_cloud(
             self.distance_m.image,
             known,
