@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lensshift.camera import LensOptics, simulate_tof
+from lensshift.camera import LensOptics, named_pattern_px, simulate_tof
 from lensshift.core.grid import Grid
+from lensshift.evaluation import fidelity
 from lensshift.optics.which import Mover
+from lensshift.pipeline.experiment import Experiment, told
+from lensshift.pipeline.paper import bench
 from lensshift.pipeline.paper.bench import CARD_LIGHT, PITCH_MM, paper_camera, px_to_m
-from lensshift.pipeline.paper.beyond import remark, shift_claim, zone_psnr_db
+from lensshift.pipeline.paper.beyond import remark, shift_claim
 from lensshift.pipeline.paper.box_claims import best_width_px, steepness, take_boxes
 from lensshift.pipeline.paper.claims import CRITERIA, VERDICTS, exactly, mean_interval, verdict
 from lensshift.pipeline.paper.edge_claims import jaggedness_px, upto
@@ -22,7 +25,8 @@ from lensshift.pipeline.paper.gratings import grating, read_grating, take_gratin
 from lensshift.pipeline.paper.optics_claims import LensResult, optics_claims
 from lensshift.pipeline.paper.reproduce import carry_out_jobs
 from lensshift.report.page import Page
-from lensshift.scene import Plane, Scene
+from lensshift.scene import Plane, Scene, ZonePlate
+from lensshift.scene.targets import CARD_DISTANCE_M
 
 SMALL = Grid((15, 41), (PITCH_MM, PITCH_MM))
 
@@ -208,6 +212,31 @@ def test_phasors_keep_the_edges_of_the_boxes(snr: float) -> None:
     depth = take_boxes(0, snr).depth
     assert depth["phasor"]["edge_rmse_m"] < 0.65 * depth["distance"]["edge_rmse_m"]
     assert depth["phasor"]["flat_rmse_m"] < depth["distance"]["flat_rmse_m"]
+
+
+def zone_psnr_db(element: int, snr: float, shift_error_px: float, seed: int) -> tuple[float, float]:
+    """Return the PSNR with one shift per frame, and with the map, of the same frames."""
+    light = 0.9 / CARD_DISTANCE_M**2
+    camera = bench.paper_camera(snr, light, light, optics="petzval_b", element=element)
+    rings = Plane(
+        centre_m=(0.0, 0.0, CARD_DISTANCE_M), reflectance=ZonePlate(0.41, 0.0155, 0.1, 0.9)
+    )
+    experiment = Experiment(
+        Scene((rings,)), camera, named_pattern_px("square"), shift_error_px=shift_error_px,
+        seed=seed,
+    )  # fmt: skip
+    capture = simulate_tof(
+        experiment.scene, camera, experiment.pattern_px, shift_error_px=shift_error_px, seed=seed
+    )
+    psnr_db = []
+    for shifts in ("planned", "traced"):
+        burst, field = told(replace(experiment, shifts=shifts), capture)
+        image = bench.reconstructed(
+            burst, "amplitude", method="tikhonov", shift_field=field,
+            prior_weight=bench.PRIOR_WEIGHT, response=(None, 0.293),  # square, spot
+        )["amplitude"]  # fmt: skip
+        psnr_db.append(fidelity(image, capture.truth.amplitude).psnr_db)
+    return psnr_db[0], psnr_db[1]
 
 
 @pytest.mark.slow

@@ -100,13 +100,10 @@ def _errors(current: Session, measured: Measured, true_m: Array, options: dict[s
 
     found = asdict(depth_error(measured.values, true_m, valid=measured.valid, **options))
     current.result |= found
-    for label, value_m in (
-        ("RMSE", found["rmse_m"]),
-        ("mean absolute error", found["mae_m"]),
-        ("bias", found["bias_m"]),
-        ("RMSE near edges", found["edge_rmse_m"]),
-        ("RMSE elsewhere", found["flat_rmse_m"]),
-    ):
+    names = {"RMSE": "rmse_m", "mean absolute error": "mae_m", "bias": "bias_m"}
+    names |= {"RMSE near edges": "edge_rmse_m", "RMSE elsewhere": "flat_rmse_m"}
+    for label, name in names.items():
+        value_m = found[name]
         told = f"{1e3 * value_m:.2f} mm" if value_m == value_m else "no such pixel"
         current.say(f"{label:<22}{told}")
     current.say(f"{'fill rate':<22}{100 * found['fill_rate']:.1f} % of the true pixels")
@@ -135,9 +132,8 @@ def _surfaces(
     found = flying_pixel_fraction(measured.values, true_m, valid=measured.valid, **options)
     checked = int(found.checked.sum())
     current.result |= {"flying_fraction": found.fraction, "flying_checked": checked}
-    share = f"{100 * found.fraction:.1f} %" if checked else "no edge to check"
-    ending = f" of {checked} pixels near edges" if checked else ""
-    current.say(f"{'flying pixels':<22}{share}{ending}")
+    share = f"{100 * found.fraction:.1f} % of {checked} pixels near edges"
+    current.say(f"{'flying pixels':<22}{share if checked else 'no edge to check'}")
     if true_m is None:
         rate = fill_rate(measured.values, valid=measured.valid)
         current.result["fill_rate"] = rate
@@ -164,8 +160,8 @@ def _plane(
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     valid = None if measured.valid is None else measured.valid[cut]
     found = fit_plane(measured.values[cut], valid=valid, directions=rays[cut])
-    names = "normal offset_m rms_m max_m count bias_rms_m noise_rms_m"
-    current.result["plane"] = picked(found, names)
+    told = "normal offset_m rms_m max_m count bias_rms_m noise_rms_m"
+    current.result["plane"] = picked(found, told)
     current.say(
         f"{'plane':<22}rms {1e3 * found.rms_m:.2f} mm: bias {1e3 * found.bias_rms_m:.2f}, "
         f"noise {1e3 * found.noise_rms_m:.2f} mm, {found.count} pixels"

@@ -146,8 +146,8 @@ def _tell(
     frequency = curve.frequency_lpmm * unit.factor
     current.result |= {"unit": unit.name, "length_unit": length, "edges": edges}
     current.result["mean"] = _rows(mean, unit)
-    current.result["mtf"] = {"frequency": frequency, "frequency_lpmm": curve.frequency_lpmm}
-    current.result["mtf"] |= {"modulation": curve.modulation, "std": curve.std}
+    told = picked(curve, "frequency_lpmm modulation std")
+    current.result["mtf"] = {"frequency": frequency} | told
     return curve, frequency
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from dataclasses import asdict, dataclass
@@ -10,6 +9,7 @@ from pathlib import Path
 
 from lensshift.cli.session import Progress, Session
 from lensshift.cli.verbs import option, verb
+from lensshift.core.threads import core_count
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ def reproduce(current: Session, asked: _ReproduceOptions) -> None:
 
     with Progress("experiments of the paper", preparing=True) as progress:
         found = reproduce_paper(
-            asked.out, quick=asked.quick, processes=asked.processes or _cores(),
+            asked.out, quick=asked.quick, processes=asked.processes or core_count(),
             on_step=progress.count, command=shlex.join(["lensshift", *sys.argv[1:]]),
         )  # fmt: skip
     for claim in found.claims:
@@ -42,7 +42,3 @@ def reproduce(current: Session, asked: _ReproduceOptions) -> None:
     claims = [asdict(claim) | {"verdict": claim.verdict} for claim in found.claims]
     current.result["claims"] = claims
     current.tell(found, "not_done seconds files")
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

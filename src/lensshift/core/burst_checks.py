@@ -7,15 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lensshift.core import units
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import DataError
 from lensshift.core.intrinsics import Intrinsics, Pinhole, PixelDirections
-from lensshift.core.units import (
-    doubt_about_distance,
-    doubt_about_focal_length,
-    doubt_about_units,
-    unambiguous_range_m,
-)
 
 LEAST_SIZE = 1e-100  # of frames: squares of smaller values, and of its inverse, are no doubles
 # Of the usual distance; numbers that stand for none lie farther from all that were measured.
@@ -160,15 +155,15 @@ def doubts_about_distances(
     """Say what can hardly be meant by frequencies and distances; some of it may be ""."""
     typical_m = None if distance_m is None else float(np.median(distance_m[valid]))
     of_units = (
-        doubt_about_units(min(frequencies_hz), typical_m)
+        units.doubt_about_units(min(frequencies_hz), typical_m)
         if frequencies_hz
-        else doubt_about_distance(typical_m)
+        else units.doubt_about_distance(typical_m)
     )
     if distance_m is None:
         return [of_units]
     if distance_m.dtype.kind in "ui" and not of_units:
         of_units = "distance_m: whole metres only; were their parts cut off? Floats keep them"
-    range_m = unambiguous_range_m(frequencies_hz[0]) if len(frequencies_hz) == 1 else np.inf
+    range_m = units.unambiguous_range_m(frequencies_hz[0]) if len(frequencies_hz) == 1 else np.inf
     return [of_units, _unmeasured(np.abs(amplitude[valid]), distance_m[valid], range_m)]
 
 
@@ -215,7 +210,7 @@ def doubt_about_intrinsics(given: Intrinsics, shape: tuple[int, int]) -> str:
             f"{across:.0f} x {down:.0f} pixels, not of these {cols} x {rows}; are they those of an "
             "image of another size? intrinsics.refine(scale) is for one that is finer"
         )
-    return doubt_about_focal_length(given.fx_px, cols)
+    return units.doubt_about_focal_length(given.fx_px, cols)
 
 
 def as_numbers(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:

@@ -364,9 +364,7 @@ def _checked(
     expect_burst(burst)
     if stray_light is not None:
         if not isinstance(stray_light, StrayLight):
-            raise TypeError(
-                f"stray_light: expected StrayLight(share, sigma_px), got {stray_light!r:.80}"
-            )
+            raise TypeError(f"expected StrayLight(share, sigma_px), got {stray_light!r:.60}")
         burst = replace(burst, meta={**burst.meta, "stray_light": stray_light.table})
     if noise_sigma is not None:
         positive().check("noise_sigma", noise_sigma)

@@ -57,13 +57,12 @@ def curves_figure(
 
 
 @styled()
-def sampling_figure(pattern_px: ArrayLike, title: str = "Where four frames sample") -> Figure:
+def sampling_figure(pattern_px: ArrayLike) -> Figure:
     """Draw nine pixels, and the places of the scene at which the frames of a pattern see them.
 
     Parameters
     ----------
     pattern_px : [frame 2] where the content of each frame lies, (row, col) in LR pixels
-    title : above the figure
     """
     pattern = np.asarray(pattern_px, dtype=np.float64)
     row, col = np.meshgrid(np.arange(3.0), np.arange(3.0), indexing="ij")
@@ -81,7 +80,7 @@ def sampling_figure(pattern_px: ArrayLike, title: str = "Where four frames sampl
     axes.invert_yaxis()
     axes.set(xlabel="column (LR px)", ylabel="row (LR px)")
     axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
-    axes.set_title(title)
+    axes.set_title("Where four frames sample")
     return figure
 
 

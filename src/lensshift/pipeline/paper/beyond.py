@@ -1,4 +1,4 @@
-"""What the paper did not try: patterns, wrong shifts, the shift map of the lens."""
+"""What the paper did not try: patterns and wrong shifts."""
 
 from __future__ import annotations
 
@@ -8,35 +8,18 @@ from typing import Any
 import numpy as np
 
 from lensshift.camera import named_pattern_px, simulate_tof
-from lensshift.evaluation import fidelity
-from lensshift.optics.lens_file import load_lens
-from lensshift.pipeline.experiment import Experiment, told
 from lensshift.pipeline.paper import bench
 from lensshift.pipeline.paper.box_claims import BRIGHTEST_LIGHT, amplitude_error
 from lensshift.pipeline.paper.claims import Claim, mean_interval
 from lensshift.pipeline.paper.gratings import grating_of
-from lensshift.scene import Plane, Scene, ZonePlate, four_boxes, slanted_edge_card
-from lensshift.scene.targets import CARD_DISTANCE_M
+from lensshift.scene import four_boxes, slanted_edge_card
 
 Row = dict[str, Any]
 
 # pattern, scale
 PATTERNS = (("square", 2), ("3x3", 3), ("4x4", 4))
 ERRORS_PX = (0.0, 0.02, 0.05, 0.1)  # rms: none, that of the bench, two that hurt
-# Moved lens, SNR, shift error: with planned shifts and single frames, with shifts as `calibrate`
-# leaves them, and with sixteen frames averaged at each position as well.
-MAPS = (
-    (0, bench.SNR, 0.02),
-    (0, bench.SNR, 0.004),
-    *((element, 4 * bench.SNR, 0.004) for element in (0, 1, 2)),
-)
 _GRATING_LPMM = 5.0  # beside the edges of the tables; beyond the Nyquist frequency of a frame
-# The zone plate fills the sensor; its last ring is 1.25 pixels wide.
-_RADIUS_M, _FINEST_M = 0.41, 0.0155
-# A Gaussian with the second moment of the square pixel and its spot. Taps that take HR pixels for
-# evenly bright are right on the HR grid; beside it they widen the pixel, which hides the map.
-_RESPONSE = (None, float(np.hypot(1.0 / np.sqrt(12.0), 0.05)))
-_ZONE_DRAWS = 4  # of noise and shift errors
 
 
 def pattern_row(pattern: str, scale: int, response: bench.Response = bench.PUBLISHED) -> Row:
@@ -119,53 +102,6 @@ def remark(name: str, rows: list[Row]) -> str:
     return ""
 
 
-def shift_map_row(element: int, snr: float, shift_error_px: float) -> Row:
-    """Return the PSNR of a zone plate with one shift per frame, and with the traced map.
-
-    The lens is the second reconstruction of the paper's, whose shift varies more. Means over
-    draws of noise and shift errors, and the least and the most that the map gains in one.
-    """
-    planned, traced = np.transpose(
-        [zone_psnr_db(element, snr, shift_error_px, seed) for seed in range(_ZONE_DRAWS)]
-    )
-    gain_db = traced - planned
-    return {
-        "element": f"{element + 1} ({load_lens('petzval_b').elements[element].name})",
-        "snr": snr,
-        "shift_error_px": shift_error_px,
-        "planned_psnr_db": float(planned.mean()),
-        "traced_psnr_db": float(traced.mean()),
-        "gain_db": float(gain_db.mean()),
-        "least_gain_db": float(gain_db.min()),
-        "most_gain_db": float(gain_db.max()),
-    }
-
-
-def zone_psnr_db(element: int, snr: float, shift_error_px: float, seed: int) -> tuple[float, float]:
-    """Return the PSNR with one shift per frame, and with the map, of the same frames."""
-    light = 0.9 / CARD_DISTANCE_M**2
-    camera = bench.paper_camera(snr, light, light, optics="petzval_b", element=element)
-    rings = Plane(
-        centre_m=(0.0, 0.0, CARD_DISTANCE_M), reflectance=ZonePlate(_RADIUS_M, _FINEST_M, 0.1, 0.9)
-    )
-    experiment = Experiment(
-        Scene((rings,)), camera, named_pattern_px("square"), shift_error_px=shift_error_px,
-        seed=seed,
-    )  # fmt: skip
-    capture = simulate_tof(
-        experiment.scene, camera, experiment.pattern_px, shift_error_px=shift_error_px, seed=seed
-    )
-    psnr_db = []
-    for shifts in ("planned", "traced"):
-        burst, field = told(replace(experiment, shifts=shifts), capture)
-        image = bench.reconstructed(
-            burst, "amplitude", method="tikhonov", shift_field=field,
-            prior_weight=bench.PRIOR_WEIGHT, response=_RESPONSE,
-        )["amplitude"]  # fmt: skip
-        psnr_db.append(fidelity(image, capture.truth.amplitude).psnr_db)
-    return psnr_db[0], psnr_db[1]
-
-
 def _numbers(
     pattern: str,
     scale: int,
@@ -186,7 +122,7 @@ def _numbers(
         "mtf50_lpmm": fine.mtf50_lpmm.value,
         "width_gain": coarse.rise_mm.value / fine.rise_mm.value,
         "noise_gain": fine.noise / coarse.noise,
-        "grating_5_lpmm": grating_of(
+        "grating_modulation": grating_of(
             camera, pattern, scale, _GRATING_LPMM, response, shift_error_px=shift_error_px,
             seed=seed,
         ),

@@ -120,10 +120,8 @@ def edge_and_grating(
     }
 
 
-def _over(
-    runs: list[EdgeRun], number: Callable[[EdgeRun], float], *, signed: bool = False
-) -> Number:
-    return mean_interval([number(run) for run in runs], signed=signed)
+def _over(runs: list[EdgeRun], number: Callable[[EdgeRun], float], **signed: bool) -> Number:
+    return mean_interval([number(run) for run in runs], **signed)
 
 
 def _rms(one: Floats, other: Floats) -> float:
@@ -132,9 +130,8 @@ def _rms(one: Floats, other: Floats) -> float:
 
 def _frame_at_limit(runs: list[EdgeRun]) -> Claim:
     before = FREQUENCY_LPMM <= _LEAVES_LPMM
-    away = _over(
-        runs, lambda run: _rms(run.edges["one frame"].mtf.modulation[before], limit(1.0)[before])
-    )
+    full = limit(1.0)[before]
+    away = _over(runs, lambda r: _rms(r.edges["one frame"].mtf.modulation[before], full))
     leaves = _over(runs, lambda run: _departure(run.edges["one frame"]))
     return Claim(
         id="frame-at-full-pixel-limit",
@@ -164,10 +161,8 @@ def _quantisation(runs: list[EdgeRun]) -> Claim:
 
 
 def _bicubic_below(runs: list[EdgeRun]) -> Claim:
-    ratio = _over(
-        runs,
-        lambda run: run.edges["bicubic"].mtf50_lpmm.value / run.edges["one frame"].mtf50_lpmm.value,
-    )
+    half = [[r.edges[one].mtf50_lpmm.value for r in runs] for one in ("bicubic", "one frame")]
+    ratio = mean_interval([one / other for one, other in zip(*half, strict=True)])
     return Claim(
         id="bicubic-below-frame",
         statement="Bicubic interpolation is worse than the frame that it interpolates.",

@@ -34,14 +34,12 @@ _PAPER = (
 )
 # Through the left small cube: LR row and columns.
 _ROW, _COLS = 11, (1, 17)
-_UNITS = {"px": "px", "lpmm": "LP/mm", "db": "dB", "mm": "mm"}
+_UNITS = {"px": "px", "lpmm": "LP/mm", "mm": "mm"}
 _TABLES = {
-    "patterns": "Finer patterns, every frame exposed alike",
-    "errors": "Shifts that are not where they were planned",
+    "patterns": "Finer patterns, every frame exposed alike, gratings of 5 LP/mm",
+    "errors": "Shifts that are not where they were planned, gratings of 5 LP/mm",
     "responses": "What the pixel is assumed to be, by the error of the amplitude of the boxes over "
     "its mean, and by that of the distance at their edges",
-    "shift_map": "A zone plate through build B: one shift per frame, or the traced map of the "
-    "moved lens; means over four draws",
 }
 
 
@@ -269,8 +267,6 @@ def _beyond_section(page: Page, found: Reproduction) -> None:
 
 def _in_words(key: str) -> str:
     """Return the name of a number of a table with its unit, as people write them."""
-    if key == "grating_5_lpmm":
-        return "left of a grating of 5 LP/mm"
     name, _, unit = key.rpartition("_")
     return f"{name} ({_UNITS[unit]})".replace("_", " ") if unit in _UNITS else key.replace("_", " ")
 

@@ -16,13 +16,11 @@ from lensshift.core.settings import to_json
 from lensshift.pipeline.paper.bench import SNR, Response, calibrated_response
 from lensshift.pipeline.paper.beyond import (
     ERRORS_PX,
-    MAPS,
     PATTERNS,
     error_row,
     mean_rows,
     pattern_row,
     shift_claim,
-    shift_map_row,
 )
 from lensshift.pipeline.paper.box_claims import BoxRun, box_claims, response_rows, take_boxes
 from lensshift.pipeline.paper.claims import CRITERIA, Claim
@@ -49,7 +47,6 @@ _WRITTEN = (
     "response_px", "response_error_px", "gradients", "depth", "beyond", "not_done", "command",
     "seconds",
 )  # fmt: skip
-_BEYOND = ("patterns", "errors", "shift_map")
 _DRAWS = {"edge": 6, "grating": 2, "boxes": 8, "errors": 3}
 _QUICK_DRAWS = {"edge": 2, "grating": 1, "boxes": 3, "errors": 1}
 _NOT_DONE = (
@@ -60,7 +57,7 @@ _NOT_DONE = (
         for kind, what in (("edge", "the edge card"), ("grating", "each grating"),
                            ("boxes", "the boxes"), ("errors", "wrong shifts"))
     ),
-    "everything beyond the paper: finer patterns, the shift map",
+    "finer patterns, beyond the paper",
 )  # fmt: skip
 
 
@@ -103,7 +100,7 @@ def reproduce(
     lenses, edges, gratings, boxes = (
         _of_kind(done, kind) for kind in ("lens", "edge", "grating", "boxes")
     )
-    beyond = {name: _of_kind(done, name) for name in _BEYOND}
+    beyond = {name: _of_kind(done, name) for name in ("patterns", "errors")}
     claims = [*optics_claims(lenses), *edge_claims(edges, gratings), *box_claims(boxes)]
     claims.append(shift_claim(beyond["errors"]))
     beyond["errors"] = mean_rows(beyond["errors"], "shift_error_px")
@@ -152,7 +149,6 @@ def _jobs(quick: bool, response: Response) -> list[Job]:
     ]
     if not quick:
         jobs += [("patterns", partial(pattern_row, *arguments, response)) for arguments in PATTERNS]
-        jobs += [("shift_map", partial(shift_map_row, *arguments)) for arguments in MAPS]
     return jobs
 
 
