@@ -10,6 +10,7 @@ from drawn import axes_titled, bands, line_labelled
 from matplotlib.colors import to_hex
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
+from PIL import Image
 from sights import card
 
 from lensshift.core.optical import MtfCurve
@@ -17,6 +18,7 @@ from lensshift.evaluation.gain import resolution_gain
 from lensshift.evaluation.limits import diffraction_mtf
 from lensshift.evaluation.slanted_edge import EdgeResult, Region, measure_edge, measure_edges
 from lensshift.report.edges import edge_figure, edge_line_px, gain_figure
+from lensshift.report.save import save_figure
 from lensshift.report.style import COLOURS
 
 PITCH_MM = 0.155
@@ -126,6 +128,15 @@ def test_residuals_are_in_standard_deviations_and_at_their_place(result: EdgeRes
     assert 0.5 < np.nanstd(values) < 2.0
     assert shown.get_extent() == [8.5, 50.5, 15.5, 0.5]
     assert shown.get_clim() == (-4.0, 4.0)
+
+
+def test_the_words_beside_a_scale_are_not_cut_off(tmp_path: Path) -> None:
+    image = card((32, 128), np.deg2rad(10.0), 63.3)
+    result = measure_edge(image, PITCH_MM, region=(3, 29, 37, 91))
+    save_figure(edge_figure([result], image), tmp_path / "edge.png")
+    with Image.open(tmp_path / "edge.png") as shown:
+        border = np.asarray(shown.convert("L"))[:, -3:]
+    assert border.min() == 255
 
 
 def test_residuals_of_several_edges_share_one_map(result: EdgeResult) -> None:

@@ -46,4 +46,6 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     check_ending(path)
     ending = Path(path).suffix.lower()
     with written_whole(path) as part, styled():
+        for _ in range(2 * any(axes.child_axes for axes in figure.axes)):
+            figure.draw_without_rendering()  # scales beside images find their room in three passes
         figure.savefig(part, format=ending[1:], metadata=_WITHOUT_DATE[ending])
