@@ -301,6 +301,16 @@ def test_frames_along_another_axis_are_questioned_or_refused(seed: int) -> None:
         Burst.from_arrays(np.moveaxis(frames * np.exp(0.1j * frames), 0, 2))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_long_recordings_in_which_something_passes_are_not_questioned(seed: int) -> None:
+    rows, cols, count = 16, 64, 100
+    scene = drawn(1, seed)[0]
+    hand_col = np.linspace(-9, cols + 9, count)[:, None, None]
+    hidden = np.abs(np.arange(cols) - hand_col) < 6  # [frame 1 col]
+    frames = np.where(hidden, 9.0, np.resize(scene, (rows, cols)))
+    Burst.from_arrays(frames)  # without a warning, which tests take for an error
+
+
 def test_one_image_and_colours_are_refused_with_their_cure() -> None:
     with pytest.raises(DataError, match=r"image\[None\]"):
         Burst.from_arrays(np.ones((8, 9)))

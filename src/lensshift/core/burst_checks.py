@@ -17,6 +17,7 @@ LEAST_SIZE = 1e-100  # of frames: squares of smaller values, and of its inverse,
 APART = 0.1
 # Frames of one scene vary 2 to 20 times less from one to the next than columns do.
 _ALIKE = 0.5
+_FEWEST_PX = (0, 10, 32)  # of cameras along rows and columns: shorter axes are none of pictures
 # What SciPy filters in place of half and extended precision, which are formats of files.
 _COMMON: dict[np.dtype[Any], type[np.generic]] = {
     np.dtype(np.float16): np.float32,
@@ -70,7 +71,8 @@ def frames_axis(values: Array) -> int:
     the variance about the mean along an axis, noise alone has as much along both.
     """
     axis = int(np.argmin(values.shape))
-    if axis == 0 or values.dtype.kind not in "iufc" or not 1 < values.shape[axis] < len(values):
+    count = values.shape[axis]
+    if values.dtype.kind not in "iufc" or not 1 < count < min(_FEWEST_PX[axis], len(values)):
         return 0
     plain = np.where(np.isfinite(values), np.abs(values), 0).astype(np.float32)
     first, other = (
@@ -80,10 +82,7 @@ def frames_axis(values: Array) -> int:
 
 
 def doubt_about_axes(frames: Array, offset_px: ArrayLike | None) -> str:
-    """Say that frames seem to lie along another axis than the first; or "".
-
-    DataError where offsets, of which there is one a frame, tell that they do.
-    """
+    """Say that frames seem to lie along another axis; DataError where offsets tell so; or ""."""
     count = None if offset_px is None else len(np.atleast_1d(np.asarray(offset_px)))
     others = [axis for axis in (1, 2) if frames.shape[axis] == count != frames.shape[0]]
     axis = others[0] if others else frames_axis(frames) if count is None else 0
