@@ -246,6 +246,9 @@ def test_the_wrong_file_is_not_resumed(tmp_path: Path) -> None:
         acquire(stage, camera, named_plan("3x3"), CALIBRATION, path, resume=True)
     with pytest.raises(DataError, match="begun with frames 1, not 2"):
         acquire(stage, camera, named_plan("square"), CALIBRATION, path, Acquisition(2), resume=True)
+    other = MemoryCamera(stage, modulation_hz=20e6)  # its distances are of another range
+    with pytest.raises(DataError, match="begun with modulation_hz 15000000"):
+        acquire(stage, other, named_plan("square"), CALIBRATION, path, resume=True)
     with pytest.raises(DataError, match="there is a file of this name"):
         acquire(stage, camera, named_plan("square"), CALIBRATION, path)
     acquire(stage, camera, named_plan("square"), CALIBRATION, path, resume=True)

@@ -133,6 +133,38 @@ def test_a_camera_that_hangs_is_an_error_in_time(
         opened.capture("square", tmp_path / "burst.nc")
 
 
+@pytest.mark.parametrize(
+    ("what", "old"),
+    [
+        ("stop", '"""Stand still at once'),
+        ("close", '"""Let go of the device'),
+        ("describe", '"""Return what to keep'),
+        ("position_mm", '"""Return where the device'),
+    ],
+)
+def test_whatever_hangs_is_an_error_in_time(
+    rig: Path, what: str, old: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(from_python, "MOST_S", 0.3)
+    change(module(rig), old, f"{HANG}\n        {old}")
+    if what == "stop":  # is only called after something else; that is what is told
+        change(module(rig), "self._place_mm = position_mm", "raise OSError('USB gone')")
+    said = "OSError: USB gone" if what == "stop" else f"piezo at COM5: {what}: has not returned"
+    with pytest.raises(DeviceError, match=said), open_rig(rig) as opened:
+        opened.capture("square", tmp_path / "burst.nc")
+
+
+def test_a_stage_is_stopped_while_its_move_hangs(rig: Path, tmp_path: Path) -> None:
+    change(module(rig), "self._place_mm = position_mm", HANG)
+    stopped = tmp_path / "stopped"
+    old = '"""Stand still at once'
+    change(module(rig), old, f"open({str(stopped)!r}, 'w').close()\n        {old}")
+    change(rig, 'port = "COM5"', 'port = "COM5"\nmove_timeout_s = 0.3')
+    with pytest.raises(DeviceTimeout, match="move_to"), open_rig(rig) as opened:
+        opened.capture("square", tmp_path / "burst.nc")
+    assert stopped.exists()
+
+
 @pytest.mark.parametrize("told", ["0", "inf", "'long'"])
 def test_a_time_for_moves_has_to_be_one(rig: Path, told: str) -> None:
     change(rig, 'port = "COM5"', f'port = "COM5"\nmove_timeout_s = {told}')
@@ -205,6 +237,29 @@ class Repeating(CallableCamera):
         opened.camera.next_frame(5.0)
         with pytest.raises(DeviceError, match="expected a cycle after 7, got 7"):
             opened.camera.next_frame(5.0)
+
+
+def test_a_counter_that_lags_behind_the_frames_is_refused(rig: Path, tmp_path: Path) -> None:
+    """By it frames that were exposed before the lens moved would pass for later ones."""
+    lagging = """
+class Lagging(CallableCamera):
+    def newest_cycle(self):
+        return 0
+
+"""
+    text = module(rig).read_text().replace("\ndef camera", lagging + "\ndef camera")
+    module(rig).write_text(text.replace("return CallableCamera", "return Lagging"))
+    said = r"my camera: newest_cycle: expected \d+, of the last frame, or more, got 0"
+    with pytest.raises(DeviceError, match=said), open_rig(rig) as opened:
+        opened.capture("square", tmp_path / "burst.nc")
+
+
+def test_a_name_that_cannot_be_had_is_told_by_the_rig_file(rig: Path) -> None:
+    name = "@property\n    def name(self):\n        raise OSError('USB gone')\n\n    def stop"
+    change(module(rig), "def stop", name)
+    change(module(rig), "self.name = f", "self._named = f")
+    with pytest.raises(DeviceError, match="my_devices:Piezo: OSError: USB gone"):
+        open_rig(rig)
 
 
 @pytest.mark.parametrize(

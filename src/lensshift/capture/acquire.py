@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -225,7 +225,8 @@ def returning(stage: Stage, rest_mm: ArrayLike) -> Iterator[Ending]:
 
 def _return(stage: Stage, rest_mm: Array, *, finished: bool, failed: bool) -> None:
     if not finished:
-        stage.stop()
+        with suppress(DeviceError):  # what has ended the capture says more
+            stage.stop()
     if not failed:
         try:
             stage.move_to(rest_mm)

@@ -22,7 +22,7 @@ from lensshift.io.calibration_file import calibration_content
 from lensshift.io.capture_file import CaptureWriter, is_capture
 
 # What must be the same before and after a break: else the frames of one burst do not fit together.
-_SAME = ("plan", "frames", "average", "pitch_mm", "shape")
+_SAME = ("plan", "frames", "average", "pitch_mm", "shape", "modulation_hz")
 _SAME_MM = 1e-6  # far below what an encoder resolves, far above what rounding does
 
 

@@ -30,7 +30,8 @@ from lensshift.core.settings import built, fit, parameters, parse_json, to_json
 
 T = TypeVar("T")
 
-# Longer than a lens takes from one end of its way to the other, or a camera to wake up.
+# Longer than a lens takes from one end of its way to the other, or a camera to wake up; and than
+# anything that moves nothing.
 MOST_S = 60.0
 _MOVE = "move_timeout_s"  # entry of a stage that may take longer
 
@@ -56,12 +57,14 @@ def python_stage(
     offered = {"home": home, "on_homing": on_homing}
     takes = parameters(make)
     beside = {name: one for name, one in offered.items() if one is not None and name in takes}
-    return _CheckedStage(_made(make, table, "stage", Stage, beside), most_s)
+    stage = _made(make, table, "stage", Stage, beside)
+    return _CheckedStage(stage, str(table["use"]), most_s)
 
 
 def python_camera(table: Mapping[str, Any], folder: Path) -> Camera:
     """Make the camera that the entry `use` names; else as `python_stage`."""
-    return _CheckedCamera(_made(_attribute(table, folder, "camera"), table, "camera", Camera, {}))
+    camera = _made(_attribute(table, folder, "camera"), table, "camera", Camera, {})
+    return _CheckedCamera(camera, str(table["use"]))
 
 
 def _attribute(table: Mapping[str, Any], folder: Path, what: str) -> Callable[..., Any]:
@@ -122,39 +125,51 @@ class _Named:
 class _Checked:
     """A device of somebody else's; what it does not do is an error that names it."""
 
-    def __init__(self, device: Any) -> None:
-        self._device = device
+    def __init__(self, device: Any, name: str) -> None:
+        self._device, self.name = device, name
         self._thread: threading.Thread | None = None
-        self.name = str(device.name)
+        self.name = self._ask("name", str)
 
-    def _in_time(self, what: str, call: Callable[[], T], most_s: float, cure: str = "") -> T:
-        """Return what a call returns, which has a thread of its own: if it hangs, that is left.
+    def _ask(
+        self,
+        what: str,
+        kind: Callable[[Any], T],
+        *args: Any,
+        most_s: float | None = None,
+        cure: str = "",
+        at_once: bool = False,
+        **options: Any,
+    ) -> T:
+        """Return a property, or what a method returns, as a kind of value.
 
-        One that was interrupted has to end before the next one begins.
+        Each call has a thread of its own: if it hangs, that is left. One that was interrupted has
+        to end before the next one begins, unless that is needed `at_once`.
         """
-        left, found = self._thread, Future[T]()
+
+        def call() -> T:
+            found = getattr(self._device, what)
+            return kind(found(*args, **options) if callable(found) else found)
+
+        most_s = most_s or MOST_S
+        left, found = None if at_once else self._thread, Future[T]()
         if left is not None:
             left.join(most_s)
         if left is None or not left.is_alive():
-            self._thread = threading.Thread(target=_called, args=(call, found), daemon=True)
-            self._thread.start()
-            self._thread.join(most_s)
+            thread = threading.Thread(target=_called, args=(call, found), daemon=True)
+            self._thread = self._thread if at_once else thread
+            thread.start()
+            thread.join(most_s)
             if found.done():
-                return found.result()
+                with _Named(self.name, DeviceError):
+                    return found.result()
         problem = f"has not returned for {most_s:g} s{cure}"
         raise DeviceTimeout(problem, device=self.name, command=what)
-
-    def _ask(self, what: str, kind: Callable[[Any], T], *args: Any, **options: Any) -> T:
-        """Return a property, or what a method returns, as a kind of value."""
-        with _Named(self.name, DeviceError):
-            found = getattr(self._device, what)
-            return kind(found(*args, **options) if callable(found) else found)
 
     def _error(self, problem: str, what: str = "") -> DeviceError:
         return DeviceError(problem, device=self.name, command=what)
 
     def close(self) -> None:
-        self._ask("close", type)  # whatever it returns
+        self._ask("close", type, at_once=True)  # whatever it returns
 
     def describe(self) -> Mapping[str, Any]:
         # What is kept beside frames is text and numbers: of others, as times, their words.
@@ -175,8 +190,8 @@ def _called(call: Callable[[], T], found: Future[T]) -> None:
 class _CheckedStage(_Checked):
     """A stage of somebody else's; what it returns is what `Stage` promises, or an error."""
 
-    def __init__(self, stage: Any, most_s: float) -> None:
-        super().__init__(stage)
+    def __init__(self, stage: Any, name: str, most_s: float) -> None:
+        super().__init__(stage, name)
         self._most_s = most_s
         low, high = self.travel_mm.T
         if not np.all(low < high):
@@ -198,11 +213,13 @@ class _CheckedStage(_Checked):
 
     def move_to(self, position_mm: ArrayLike, *, direct: bool = False) -> Floats:
         goal_mm = goal_within(self.travel_mm, position_mm)
-        move = partial(self._numbers, "move_to", (2,), goal_mm, direct=direct)
-        return self._in_time("move_to", move, self._most_s, f" ([stage] {_MOVE})")
+        cure = f" ([stage] {_MOVE})"
+        return self._numbers(
+            "move_to", (2,), goal_mm, direct=direct, most_s=self._most_s, cure=cure
+        )
 
     def stop(self) -> None:
-        self._ask("stop", type)
+        self._ask("stop", type, at_once=True)
 
 
 class _CheckedCamera(_Checked):
@@ -224,21 +241,19 @@ class _CheckedCamera(_Checked):
             return getattr(self._device, "intrinsics", None)
 
     def open(self) -> None:
-        self._in_time("open", partial(self._ask, "open", type), MOST_S)
+        self._ask("open", type)
         self._cycle = -1
 
     def newest_cycle(self) -> int:
-        return self._ask("newest_cycle", int)
+        newest = self._ask("newest_cycle", int)
+        if newest < self._cycle:  # then frames from before a move would pass for later ones
+            problem = f"expected {self._cycle}, of the last frame, or more, got {newest}"
+            raise self._error(problem, "newest_cycle")
+        return newest
 
     def next_frame(self, timeout_s: float) -> CameraFrame:
-        with _Named(self.name, DeviceError):
-            take = partial(self._device.next_frame, timeout_s)
-            taken = self._in_time("next_frame", take, timeout_s + MOST_S)
-            shot = self._checked("next_frame", taken, CameraFrame)
-            seen = {one.name: getattr(shot.frame, one.name) for one in fields(shot.frame)}
-            frame, raw = frame_from({**shot.raw, **seen})
-            shot = CameraFrame(frame, int(shot.cycle), float(shot.arrived_s), raw)
-        shape = frame.amplitude.shape
+        shot = self._ask("next_frame", self._shot, timeout_s, most_s=timeout_s + MOST_S)
+        shape = shot.frame.amplitude.shape
         if shape != self.grid.shape:
             raise self._error(f"expected a frame of {self.grid.shape}, got {shape}", "next_frame")
         if shot.cycle <= self._cycle:
@@ -246,6 +261,12 @@ class _CheckedCamera(_Checked):
             raise self._error(problem, "next_frame")
         self._cycle = shot.cycle
         return shot
+
+    def _shot(self, taken: Any) -> CameraFrame:
+        shot = self._checked("next_frame", taken, CameraFrame)
+        seen = {one.name: getattr(shot.frame, one.name) for one in fields(shot.frame)}
+        frame, raw = frame_from({**shot.raw, **seen})
+        return CameraFrame(frame, int(shot.cycle), float(shot.arrived_s), raw)
 
     def _checked(self, what: str, value: Any, kind: type[T]) -> T:
         if isinstance(value, kind):
