@@ -284,6 +284,21 @@ def test_few_frames_of_an_exposure_do_not_make_it_another(gain: float) -> None:
         assert share == 0.0 if gain == 1.0 else share > 0.2
 
 
+@pytest.mark.parametrize("gain", [1.0, 0.97, 1.03])
+def test_a_pixel_that_chooses_its_exposure_by_what_it_reads_does_not_switch(gain: float) -> None:
+    """Noise makes it choose, at an SNR of 100; not so a factor that is 3 % wrong."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        level = rng.uniform(0.99, 1.01, (16, 64))
+        amplitude = level * rng.normal(1.0, 0.01, (32, 16, 64))
+        weak = amplitude > 1.0
+        factors = np.array([10.0, 1.0, 1.0, 1.0])
+        raw = [{"confidence": (~one).astype("u2") << 1, "normalization": factors} for one in weak]
+        read = np.where(weak, gain, 1.0) * amplitude
+        share = settings_share(raw, read, np.ones((16, 64), bool))
+        assert share < 0.01 if gain == 1.0 else share > 0.1, seed
+
+
 def test_only_noise_makes_an_image_that_stands_seem_to_move() -> None:
     """Whatever a shift is known to: what a model errs by is in all frames before a still lens."""
     poorly = np.full((2, 2), 2.0)  # 0.1 px in 50 um

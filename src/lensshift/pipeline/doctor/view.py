@@ -109,27 +109,50 @@ def look(camera: Camera, patience_s: float) -> View:
 
 
 def settings_share(raw: list[Mapping[str, Array]], amplitude: Floats, always: Mask) -> float:
-    """Return the share of pixels whose amplitude depends on exposure and gain, as an O3M tells."""
-    from scipy.stats import ttest_ind
+    """Return the share of pixels whose amplitude depends on exposure and gain, as an O3M tells.
 
+    A camera takes the more sensitive setting where it does not saturate: of one and the same light
+    what noise makes weaker. A normal distribution of variance s^2, cut at a limit with the share p
+    on one side, has means on both sides that differ by s phi(z) / (p (1 - p)), z = Phi^-1(p), and
+    leaves s^2 (1 - phi(z)^2 / (p (1 - p))) about them; so much less may the sensitive setting read.
+    """
     if not all({"confidence", "normalization"} <= set(one) for one in raw):
         return 0.0
     setting = (np.stack([one["confidence"] for one in raw]).astype(int) >> 1) & 3
-    differing = np.zeros(always.shape, np.bool_)
-    changing = np.argwhere(always & np.any(setting != setting[0], axis=0))
-    for pixel in changing:
-        here, values = setting[:, *pixel], amplitude[:, *pixel]
-        groups = [values[here == one] for one in np.unique(here)]
-        told = [one for one in groups if len(one) > 2]
+    factor = raw[0]["normalization"]  # the smaller, the more sensitive
+    pixels = np.argwhere(always & np.any(setting != setting[0], axis=0))
+    differing = 0
+    for row, col in pixels:
+        here, values = setting[:, row, col], amplitude[:, row, col]
+        groups = {one: values[here == one] for one in np.unique(here)}
+        told = sorted((one for one in groups if len(groups[one]) > 2), key=lambda one: factor[one])
         if len(told) == 2:
-            first, second = told
-            if abs(first.mean() - second.mean()) > PIXEL_NOISE * values.mean():
-                # Each with its own noise (Welch), or all alike (Student), whichever is more: three
-                # values may lie close together by chance.
-                with warnings.catch_warnings(action="ignore"):  # of those that are all equal
-                    odds = [ttest_ind(first, second, equal_var=one).pvalue for one in (True, False)]
-                differing[pixel[0], pixel[1]] = max(odds) < _CHANCE / len(changing)
-    return float(differing.mean())
+            first, second = (groups[one] for one in told)
+            chosen = factor[told[0]] < factor[told[1]]
+            differing += _differ(first, second, chosen, len(pixels))
+    return differing / always.size
+
+
+def _differ(first: Floats, second: Floats, chosen: bool, asked: int) -> bool:
+    """Tell whether readings differ, by more than chance and the choice of the first, of so many."""
+    from scipy.special import ndtri
+    from scipy.stats import ttest_ind
+
+    if chosen:
+        count = len(first) + len(second)
+        share = len(first) / count
+        both = share * (1.0 - share)
+        height = np.exp(-0.5 * ndtri(share) ** 2) / np.sqrt(2.0 * np.pi)
+        within2 = (len(first) * first.var() + len(second) * second.var()) / (count - 2)
+        apart = np.sqrt(within2 / (1.0 - height**2 / both)) * height / both
+        first = first + np.clip(second.mean() - first.mean(), 0.0, apart)
+    if abs(first.mean() - second.mean()) <= PIXEL_NOISE * second.mean():
+        return False
+    # Each with its own noise (Welch), or all alike (Student), whichever is more: three values may
+    # lie close together by chance.
+    with warnings.catch_warnings(action="ignore"):  # of those that are all equal
+        odds = [ttest_ind(first, second, equal_var=one).pvalue for one in (True, False)]
+    return bool(max(odds) < _CHANCE / asked)
 
 
 def view_findings(
