@@ -126,6 +126,19 @@ def test_one_spoiled_frame_is_left_out() -> None:
     np.testing.assert_allclose(found.stage_map.px_per_mm, Rig().px_per_mm, atol=0.15)
 
 
+def test_a_first_frame_of_another_scene_does_not_spoil_the_scan() -> None:
+    """The first one is what the others are held against: a shutter that was still closed."""
+    rig = Rig()
+    scan = rig.scan(seed=8)
+    frames = np.array(scan.amplitude)
+    frames[0] = 0.01 * np.random.default_rng(8).random(frames[0].shape)
+    with pytest.warns(QualityWarning, match="^frame 0: shows nothing of the scene of most others"):
+        found = fit_scan(replace(scan, amplitude=frames), rest_mm=(3.0, 5.0)).calibration
+    error = found.stage_map.px_per_mm - rig.px_per_mm
+    assert np.abs(error).max() < 0.05
+    np.testing.assert_allclose(found.play_mm, rig.play_mm, atol=0.001)
+
+
 @given(st.integers(3, 8), st.floats(0.01, 2.0), st.floats(0.01, 2.0))
 def test_a_scan_comes_from_both_sides_and_to_no_row_or_column_twice(
     steps: int, row: float, col: float

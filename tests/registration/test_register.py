@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import PITCH_MM, checker, scene, taken, waves
+from scenes import PITCH_MM, checker, random_boxes, scene, taken, waves
 
 from lensshift.camera import QUARTER_SQUARE_PX, RunningCamera, camera_preset
 from lensshift.core.errors import QualityWarning
@@ -405,6 +405,41 @@ def test_many_frames_are_told_some_at_a_time(monkeypatch: pytest.MonkeyPatch) ->
     assert np.array_equal(parts.sigma_px == 0, whole.sigma_px == 0)
     assert parts.covariance_px2.shape == whole.covariance_px2.shape
     assert parts.converged
+
+
+@pytest.mark.parametrize("planned", [True, False])
+@pytest.mark.parametrize(("shows", "at"), [("another scene", 0), ("another scene", 2), ("dark", 0)])
+def test_a_frame_of_another_scene_is_named_and_left_out(shows: str, at: int, planned: bool) -> None:
+    """The first one is what the others are held against: it spoilt all of them."""
+    for seed in (60, 61):
+        burst, true_px = taken(random_boxes(seed), seed=seed)
+        amplitude = burst.amplitude.astype(np.float64)
+        dark = 0.002 * np.random.default_rng(seed).random(amplitude[at].shape)
+        other, _ = taken(random_boxes(seed + 40), seed=seed)
+        amplitude[at] = dark if shows == "dark" else other.amplitude[at]
+        burst = replace(burst, amplitude=amplitude)
+        if not planned:
+            burst = replace(burst, offset_px=0 * burst.offset_px, offset_source="unknown")
+        done = "taken as given" if planned else "left out"
+        with pytest.warns(QualityWarning) as said:
+            found = register(burst)
+        why = "shows nothing of the scene of most others"
+        assert [str(one.message) for one in said] == [f"frame {at}: {why}; {done}"]
+        seen = np.arange(4) != at
+        error_px = (found.offset_px - true_px)[seen]
+        assert np.abs(error_px - error_px.mean(axis=0)).max() < 0.02
+        assert found.offset_sigma_px[seen].max() < 0.05
+        assert found.valid[at].any() == planned
+
+
+def test_noise_is_no_other_scene() -> None:
+    """Frames of which noise hides most are like none, and count."""
+    burst, _ = taken(random_boxes(62), seed=62)
+    rng = np.random.default_rng(62)
+    noisy = burst.amplitude + 0.5 * rng.standard_normal(burst.amplitude.shape)
+    with pytest.warns(QualityWarning) as said:
+        register(replace(burst, amplitude=noisy))
+    assert not [one for one in said if "most others" in str(one.message)]
 
 
 @pytest.mark.parametrize("photometric", [False, True])

@@ -119,7 +119,6 @@ def blank_frames(frames: Array, valid: Mask | None = None) -> Mask:
     ----------
     frames : [frame row col], real or complex
     valid : [frame row col], None: all pixels are
-    names : numbers that the frames are told by, None: their own
     """
     used = np.ones(frames.shape, np.bool_) if valid is None else valid
     shown = [one[seen] for one, seen in zip(frames, used, strict=True)]

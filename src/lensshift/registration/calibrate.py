@@ -16,9 +16,9 @@ from lensshift.core.types import Burst
 from lensshift.registration.blocks import filled
 from lensshift.registration.field import fit_field
 from lensshift.registration.likelihood import likely_shifts, with_given
-from lensshift.registration.phase import phase_shifts
+from lensshift.registration.phase import phase_shifts, unlike_frames
 from lensshift.registration.picture import alternate, prediction_error
-from lensshift.registration.register import frames_of
+from lensshift.registration.register import UNLIKE, frames_of, say_left_out
 
 HUBER_SIGMAS = 1.345  # keeps 95 % of the efficiency where errors are normal
 _PASSES = 20  # of reweighting, at most
@@ -36,7 +36,8 @@ class ScanFit:
     Parameters
     ----------
     calibration : the result
-    burst : the scan with its registered offsets, without frames before the axes first moved
+    burst : the scan with its registered offsets, without frames before the axes first moved or of
+        another scene
     residual_px : [frame 2] registered offset less what the calibration says
     direction : [frame 2] of the last motion of each axis, +1, -1, or 0 if not known
     field_order : degree of the polynomial over the sensor, 0: the same everywhere; with a lens
@@ -96,25 +97,25 @@ def fit_scan(
     Warns
     -----
     QualityWarning
-        If what is left is more than 0.02 px rms.
+        If what is left is more than 0.02 px rms, or frames of another scene are left out.
     """
     stage_mm = _stage(burst)
     if lens_field is not None:
         lens_field.check_camera(burst)
+    rest = stage_mm.mean(axis=0) if rest_mm is None else np.asarray(rest_mm, dtype=np.float64)
+    direction = _directions(_commanded(burst))
     known_px2: Floats = np.zeros((2 * burst.frame_count, 2 * burst.frame_count))
     if not registered:
-        burst, known_px2 = _registered(burst, photometric=photometric)
-    rest = stage_mm.mean(axis=0) if rest_mm is None else np.asarray(rest_mm, dtype=np.float64)
-    commanded_mm = _commanded(burst)
-    direction = _directions(commanded_mm)
+        burst, kept, known_px2 = _registered(burst, photometric=photometric)
+        direction = direction[kept]
     # Nobody knows on which side of its play an axis stood before it moved.
     known = np.all((direction != 0) | ~_turns(direction), axis=1)
+    away_mm, commanded_mm = _stage(burst)[known] - rest, _commanded(burst)[known]
     burst, direction = burst.select(list(np.flatnonzero(known))), direction[known]
     known_px2 = known_px2[np.ix_(np.repeat(known, 2), np.repeat(known, 2))]
-    away_mm = stage_mm[known] - rest
     time_s = None if burst.time_s is None else burst.time_s - burst.time_s.mean()
     turns = _turns(direction)
-    held = _held(commanded_mm[known], direction, away_mm, time_s, burst.offset_px, known_px2)
+    held = _held(commanded_mm, direction, away_mm, time_s, burst.offset_px, known_px2)
     design = _design(away_mm, held, time_s)
     found, covariance, residual = _robust(design, burst.offset_px, known_px2)
     bent, order = None, 0
@@ -176,19 +177,29 @@ def _refined(field: LensField, bent: Floats, matrix: Floats) -> tuple[LensField,
     return field.corrected((bent - middle) @ np.linalg.inv(whole)), whole
 
 
-def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Floats]:
-    """Return the scan with registered offsets and their covariance [2 frame, 2 frame]."""
+def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Mask, Floats]:
+    """Return the scan with registered offsets, without frames of another scene.
+
+    Also which frames [frame] are left, and the covariance [2 frame, 2 frame] of their offsets.
+    """
     frames = frames_of(burst, "amplitude")
     valid = burst.valid
     whole = filled(frames, valid)
-    starts = _starts(burst, phase_shifts(whole, 0))
+    phase_px = phase_shifts(whole, 0)
+    kept = ~unlike_frames(whole, phase_px, 0)
+    if not kept.all():
+        say_left_out(np.flatnonzero(~kept), UNLIKE, None)
+        left = burst.select(np.flatnonzero(kept).tolist())
+        burst, _, covariance_px2 = _registered(left, photometric=photometric)
+        return burst, kept, covariance_px2
+    starts = _starts(burst, phase_px)
     found = likely_shifts(frames, valid, _best_of(starts, whole, valid), photometric=photometric)
     # Where the frames tell nothing, a shift is known to be some pixels at most.
     found = with_given(found, burst.offset_px - burst.offset_px[0], None, said=False)
     burst = replace(
         burst, offset_px=found.offset_px, offset_sigma_px=found.sigma_px, offset_source="registered"
     )
-    return burst, found.covariance_px2
+    return burst, kept, found.covariance_px2
 
 
 def _best_of(starts: list[Floats], frames: Array, valid: Mask) -> Floats:

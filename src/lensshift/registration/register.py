@@ -19,7 +19,7 @@ from lensshift.registration import blocks
 from lensshift.registration.affine import affine_motion, turning
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
 from lensshift.registration.likelihood import UNKNOWN_PX, USUAL_SHIFT_PX, ShiftFit, with_given
-from lensshift.registration.phase import phase_fit, phase_shifts, rival_shifts
+from lensshift.registration.phase import phase_fit, phase_shifts, rival_shifts, unlike_frames
 from lensshift.registration.picture import LEAST_FRAMES, LEAST_PREDICTING, better_shifts
 
 Method = Literal["auto", "gradient", "phase"]
@@ -31,6 +31,7 @@ Run = Callable[..., ShiftFit]
 POOR_SIGMA_PX = 0.05  # more than twice the budget of a calibration
 # Phase correlation knows the shift to about this much; given offsets nearer to it are kept.
 AGREES_PX = 0.5
+UNLIKE = "shows nothing of the scene of most others"
 _CLEARLY_BETTER = 0.7  # noise that one fit leaves over that of the other
 
 
@@ -57,7 +58,8 @@ def register(
         correlation with one frame, roughest
     reference : number of the frame whose offset is kept; the others are relative to it, and so
         are the standard errors, which are 0 there. Where no offset is known, their mean is 0.
-        A frame that shows less than half of what others do is none: the next one that does
+        A frame that shows less than half of what others do, or another scene than most, is none:
+        the next one that does
     channel : "amplitude", "distance" or "phasor", which pixels average where they see two
         distances; "auto": phasor if distances of one modulation frequency, or the phasors
         themselves, are there, else amplitude (complex frames are used whole)
@@ -85,7 +87,8 @@ def register(
     QualityWarning
         If a shift has a standard error above 0.05 px or may be another one (scenes that repeat,
         without planned offsets), the frames turn or grow though nobody said so, the search
-        did not settle, or a frame has less than half of the valid pixels of others.
+        did not settle, or a frame has less than half of the valid pixels of others or shows
+        another scene.
     """
     _check(burst, method, motion, reference, use_given)
     images = frames_of(burst, channel)
@@ -93,18 +96,19 @@ def register(
     if len(kept) < burst.frame_count:
         burst, images = burst.select(kept.tolist()), images[kept]
         reference = int(np.searchsorted(kept, reference)) % len(kept)
-    stuck = stuck_pixels(np.abs(images) if np.iscomplexobj(images) else images, burst.valid)
-    valid = burst.valid if stuck is None else burst.valid & ~stuck
-    doubts = [repeated_frame(images, kept.tolist())]
-    if channel != "distance":
-        doubts += doubts_about_frames(images, valid, kept.tolist(), photometric=photometric)
-    for said in filter(None, doubts):
-        warn_quality(said)
-    images /= np.max(np.abs(images), where=valid, initial=0.0) or 1.0  # their squares exist
-    whole = blocks.filled(images, valid)
+    valid, images, whole = _scaled(burst, images)
+    phase_px = phase_shifts(whole, reference)
+    foreign = unlike_frames(whole, phase_px, reference)
+    if foreign.any():
+        say_left_out(kept[foreign], UNLIKE, burst)
+        return register(
+            everything, method=method, reference=int(kept[reference]), channel=channel,
+            motion=motion, photometric=photometric, use_given=use_given,
+            frames=kept[~foreign].tolist(),
+        )  # fmt: skip
+    _say_doubts(burst, channel, valid, kept, photometric=photometric)
     given_px = burst.offset_px - burst.offset_px[reference]
     known, affine, factor = bool(np.any(given_px)), None, 1.0
-    phase_px = phase_shifts(whole, reference)
     if method == "phase":
         fit = phase_fit(whole, valid, phase_px, reference)
     else:
@@ -117,9 +121,8 @@ def register(
         if method == "gradient":
             fit = _widened(run, images, valid, fit)
         else:
-            told_px = burst.offset_sigma_px if use_given else None
-            if told_px is not None:
-                told_px = np.hypot(told_px, told_px[reference])  # of differences from it
+            told = burst.offset_sigma_px if use_given else None
+            told_px = None if told is None else np.hypot(told, told[reference])  # of differences
             alike = _alike(whole, fit, photometric)
             fit = better_shifts(fit, alike, valid, reference)
             if apart := _scatter_of_few(images, valid, fit, reference, photometric):
@@ -151,15 +154,39 @@ def _seen(burst: Burst, images: Array, frames: Sequence[int] | None) -> NDArray[
     if len(kept) < 2:
         said = f"expected valid pixels that differ in at least 2 frames, got {len(kept)}"
         raise ValueError(f"{said}; give the shifts")
-    done = "left out" if burst.offset_source == "unknown" else "taken as given"
     for lost, why in (
         (few, "less than half as many pixels as in others are valid"),
         (blank & ~few, "all valid pixels are alike"),
     ):
         if lost.any():
-            said = f"frame {', '.join(map(str, np.flatnonzero(lost)[:9]))}: {why}"
-            warn_quality(f"{said}, which does not tell its shift; {done}", 3)
+            say_left_out(np.flatnonzero(lost), f"{why}, which does not tell its shift", burst)
     return kept
+
+
+def _scaled(burst: Burst, images: Array) -> tuple[Mask, Array, Array]:
+    """Return which pixels count, the images up to 1, whose squares exist, and these filled."""
+    stuck = stuck_pixels(np.abs(images) if np.iscomplexobj(images) else images, burst.valid)
+    valid = burst.valid if stuck is None else burst.valid & ~stuck
+    scaled = images / (np.max(np.abs(images), where=valid, initial=0.0) or 1.0)
+    return valid, scaled, blocks.filled(scaled, valid)
+
+
+def _say_doubts(
+    burst: Burst, channel: Channel, valid: Mask, kept: NDArray[np.intp], *, photometric: bool
+) -> None:
+    images = frames_of(burst, channel)
+    doubts = [repeated_frame(images, kept.tolist())]
+    if channel != "distance":
+        doubts += doubts_about_frames(images, valid, kept.tolist(), photometric=photometric)
+    for said in filter(None, doubts):
+        warn_quality(said, 3)
+
+
+def say_left_out(numbers: NDArray[np.intp], why: str, burst: Burst | None) -> None:
+    """Warn that frames do not count; None: of a scan, whose shifts are all found."""
+    given = burst is not None and burst.offset_source != "unknown"
+    done = "taken as given" if given else "left out"
+    warn_quality(f"frame {', '.join(map(str, numbers[:9]))}: {why}; {done}", 4)
 
 
 def _of_all(burst: Burst, kept: NDArray[np.intp], found: dict[str, Any]) -> dict[str, Any]:

@@ -77,19 +77,6 @@ class CallableCamera(ReceivingCamera):
     rate_hz : how often it is called at most
     modulation_hz : modulation frequency, if known
     about : what to keep beside the frames: model, settings
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from lensshift.capture.drivers.from_callable import CallableCamera
-    >>> def grab():
-    ...     return {"amplitude": np.ones((3, 5)), "distance_m": np.full((3, 5), 2.0)}
-    >>> camera = CallableCamera(grab, pitch_mm=0.01, name="my camera")
-    >>> camera.open()
-    >>> frame = camera.next_frame(timeout_s=60.0).frame
-    >>> camera.close()
-    >>> frame.distance_m.mean(), camera.grid.shape
-    (np.float64(2.0), (3, 5))
     """
 
     def __init__(
