@@ -44,6 +44,22 @@ def test_wavelength_and_temperature_change_the_lens(call: Call) -> None:
     assert cold != warm
 
 
+def test_a_lens_is_shown_where_its_image_cannot_move_so_far(call: Call, tmp_path: Path) -> None:
+    """A quarter of a pixel is three times its diameter."""
+    lens = tmp_path / "ball.toml"
+    edges = (Surface(radius_mm, semi_diameter_mm=0.006) for radius_mm in (0.01, -0.01))
+    ball = Element(tuple(edges), ("N-SF11",), (0.02,))
+    save_lens(Lens((ball,), (0.002,), Stop(0.004)), lens)
+    found = numbers(call, "show", lens)
+    assert found["focal_length_mm"] == pytest.approx(0.0116, abs=1e-4)
+    assert found["travel_mm"] is None
+    told = call("lens", "show", lens).stdout
+    assert (
+        "travel for 0.25 px          none, with pixels of 0.155 mm (--pitch-mm): expected" in told
+    )
+    assert call("lens", "show", lens, "--plot", tmp_path / "ball.png").exit_code == 1
+
+
 WINDOW_FIRST = """
 name = "window first"
 [stop]

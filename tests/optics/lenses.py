@@ -8,6 +8,7 @@ import pytest
 from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.paraxial import entrance_pupil
+from lensshift.optics.pupil import midpoints
 from lensshift.optics.trace import Build, trace
 
 PLANE = Surface(math.inf)
@@ -105,3 +106,11 @@ def same_rays(
     assert ours.position_mm[:, 1] == pytest.approx(np.asarray(rays.x), abs=mm, nan_ok=True)
     assert ours.position_mm[:, 0] == pytest.approx(np.asarray(rays.y), abs=mm, nan_ok=True)
     assert ours.direction[:, 2] == pytest.approx(np.asarray(rays.N), abs=1e-8)
+
+
+def pupil_grid(count: int) -> np.ndarray:
+    """Return the points [ray 2] (row, col) of a square grid that lie on the unit disc."""
+    along = midpoints(count)
+    row, col = np.meshgrid(along, along, indexing="ij")
+    inside = row**2 + col**2 <= 1.0
+    return np.stack([row[inside], col[inside]], axis=-1)

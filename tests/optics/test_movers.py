@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lenses import batoid_trace
+from lenses import batoid_trace, pupil_grid
 
 from lensshift.core.grid import Grid
 from lensshift.optics.glass import refractive_index
@@ -14,10 +14,9 @@ from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.lens_file import format_lens, load_lens, parse_lens
 from lensshift.optics.movers import wedge, which_mover, with_wedges
 from lensshift.optics.paraxial import paraxial
-from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.spots import image_per_field_mm, spots
 from lensshift.optics.trace import Build, trace
-from lensshift.optics.which import format_movers
+from lensshift.optics.which import format_movers, which_element
 from lensshift.optics.zmx import parse_zmx
 from lensshift.optics.zmx_writer import format_zmx
 
@@ -226,3 +225,20 @@ def test_movers_of_a_scaled_lens_are_scaled(scale: float) -> None:
         assert found[kind].stroke_deg == pytest.approx(whole[kind].stroke_deg, rel=1e-5)
         wanted = whole[kind].max_shift_error_px
         assert found[kind].max_shift_error_px == pytest.approx(wanted, abs=1e-4)
+
+
+def test_an_element_too_weak_to_make_the_shift_is_left_out() -> None:
+    """A dome of next to no power would have to go where no light gets through."""
+    lens = load_lens("al2550")
+    thick_mm, gap_mm = 3.0, 8.0
+    radii_mm = (60.0, 60.0 - thick_mm * (INDEX - 1.0) / INDEX)
+    front, back = (Surface(radius_mm, semi_diameter_mm=25.0) for radius_mm in radii_mm)
+    dome = Element((front, back), ("N-BK7",), (thick_mm,), name="dome")
+    lens = replace(
+        lens,
+        elements=(dome, *lens.elements),
+        gaps_mm=(gap_mm, *lens.gaps_mm),
+        stop=replace(lens.stop, position_mm=lens.stop.position_mm + thick_mm + gap_mm),
+    )
+    movers = which_element(lens, Grid((1, 3), (0.1, 0.1)))
+    assert [mover.element for mover in movers] == [1]

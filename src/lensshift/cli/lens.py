@@ -86,16 +86,27 @@ def show(current: Session, asked: _ShowOptions) -> None:
         current.say(f"{label:<28}{value + 0.0:.6g}{unit}")
     away_mm = model.gaps_mm[-1] - data.image_mm
     current.say(f"{'sensor':<28}{model.gaps_mm[-1]:.6g} mm, {away_mm:+.4g} mm from the image")
-    travel_mm = optics.diagonal_mm(model, moved, shift_px, grid)
-    current.say(
-        f"{f'travel for {shift_px:g} px':<28}{1e3 * travel_mm[1]:.2f} um of element {element} "
-        f"along columns, {1e3 * travel_mm[0]:.2f} um along rows"
-    )
+    heading = f"{f'travel for {shift_px:g} px':<28}"
+    try:
+        travel_mm = optics.diagonal_mm(model, moved, shift_px, grid)
+    except ValueError as error:  # as where the pixels are not those of this lens
+        if asked.plot is not None:
+            raise
+        current.say(f"{heading}none, with pixels of {grid.pitch_mm[1]:g} mm (--pitch-mm): {error}")
+        current.result["travel_mm"] = None
+    else:
+        current.say(
+            f"{heading}{1e3 * travel_mm[1]:.2f} um of element {element} along columns, "
+            f"{1e3 * travel_mm[0]:.2f} um along rows"
+        )
+        current.result["travel_mm"] = travel_mm
     current.result |= {"lens": model.name or asked.of.lens, "elements": rows, **asdict(data)}
-    current.result |= {"element": element, "shift_px": shift_px, "travel_mm": travel_mm}
-    fields_tan = optics.spread_fields_tan(model, grid, (0.0, 0.5, 1.0))
-    name, of, options = optics.lens_figures(model, moved, travel_mm, grid, fields_tan)[asked.figure]
-    outputs.write_plot(current, asked.plot, name, *of, **options)
+    current.result |= {"element": element, "shift_px": shift_px}
+    if asked.plot is not None:
+        fields_tan = optics.spread_fields_tan(model, grid, (0.0, 0.5, 1.0))
+        figures = optics.lens_figures(model, moved, travel_mm, grid, fields_tan)
+        name, of, options = figures[asked.figure]
+        outputs.write_plot(current, asked.plot, name, *of, **options)
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,7 +75,8 @@ def which_element(
 ) -> tuple[Mover, ...]:
     """Compare the elements as movers, for diagonal shifts of `shift_px` along both axes.
 
-    Plane-parallel plates are left out: moving them does nothing. The MTF is that of `least_mtf`.
+    Plane-parallel plates are left out, as moving them does nothing, and elements so weak that they
+    cannot make the shift. The MTF is that of `least_mtf`.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ def which_element(
     Raises
     ------
     ValueError
-        If the shift is not positive, or as in `decenter_for_shift`.
+        If the shift is not positive, or as in `exact_otf`.
     """
     if not shift_px > 0:
         raise ValueError(f"expected a positive shift_px, got {shift_px}")
@@ -97,7 +98,10 @@ def which_element(
     for number, (element, indices) in enumerate(zip(lens.elements, lens.indices(), strict=True)):
         if np.isinf(focal_length_mm(element, indices)):
             continue
-        moves_mm = decenter_for_shift(lens, number, shift_px * DIAGONALS, grid)
+        try:
+            moves_mm = decenter_for_shift(lens, number, shift_px * DIAGONALS, grid)
+        except ValueError:  # so weak that no light gets through where it would have to be
+            continue
         error_px = largest_error_px(lens, number, moves_mm, grid, shift_px * DIAGONALS)
         stroke_mm = float(decenter_for_shift(lens, number, [0.0, shift_px], grid)[1])
         along = shift_map(lens, number, stroke_mm * np.eye(2), grid, most=ENOUGH_PIXELS).offset_px
