@@ -17,7 +17,6 @@ from lensshift.optics.trace import Build
 _LEAST_SAMPLES, _MOST_SAMPLES = 256, 2048  # across the pupil
 _MARGIN = 1.2  # copies of the image lie so much farther apart than they are wide
 _PER_WAVE = 4.0  # samples of the image per wavelength / (2 sine): twice what intensity needs
-_PER_SIDE = 16.0  # and of the smallest square
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,12 +40,13 @@ class PointImage:
 
     def ensquared(self, side_mm: ArrayLike) -> Floats:
         """Return the share of the light in squares about the centroid, [side]."""
-        sides = np.atleast_1d(np.asarray(side_mm, dtype=np.float64))
-        away = np.abs(self.at_mm)
-        inside = np.clip(0.5 + (0.5 * sides[:, None] - away) / self.step_mm, 0.0, 1.0)
-        return np.asarray(
-            np.einsum("sr,rc,sc->s", inside, self.per_mm2, inside, optimize=True) * self.step_mm**2
-        )
+        from scipy.interpolate import CubicSpline
+
+        halves = 0.5 * np.atleast_1d(np.asarray(side_mm, dtype=np.float64))
+        halves = np.minimum(halves, self.at_mm[-1])
+        over = CubicSpline(self.at_mm, np.eye(len(self.per_mm2)))
+        inside = np.stack([over.integrate(-half, half) for half in halves])
+        return np.asarray(np.einsum("sr,rc,sc->s", inside, self.per_mm2, inside, optimize=True))
 
 
 def point_spread(
@@ -56,7 +56,6 @@ def point_spread(
     *,
     build: Build | None = None,
     band: Band | None = None,
-    step_mm: float | None = None,
 ) -> PointImage:
     """Return the image of a point in a square about its centroid.
 
@@ -70,8 +69,6 @@ def point_spread(
     field_tan : [2] (row, col)
     side_mm : of the square
     build, band : as for `exact_otf`
-    step_mm : largest step from sample to sample, if a quarter of wavelength / (2 sine) is not fine
-        enough
 
     Raises
     ------
@@ -87,7 +84,6 @@ def point_spread(
         raise ValueError(f"expected a positive side_mm, got {side_mm}")
     light = pupils(lens, field_tan, build=build, band=band)
     fine_mm = min(wave_mm / (2.0 * pupil.span) for _, wave_mm, pupil in light) / _PER_WAVE
-    fine_mm = min(fine_mm, step_mm or fine_mm)
     half = int(np.ceil(0.5 * side_mm / fine_mm)) + 1
     at_mm = fine_mm * np.arange(-half, half + 1, dtype=np.float64)
     parts = [share * _intensity(pupil, wave_mm, at_mm) for share, wave_mm, pupil in light]
@@ -115,12 +111,8 @@ def ensquared_energy(
     ValueError
         As in `point_spread`.
     """
-    sides = np.atleast_1d(np.asarray(side_mm, dtype=np.float64))
-    found = point_spread(
-        lens, field_tan, float(sides.max()), build=build, band=band,
-        step_mm=float(sides.min()) / _PER_SIDE,
-    )  # fmt: skip
-    return found.ensquared(sides)
+    found = point_spread(lens, field_tan, float(np.max(side_mm)), build=build, band=band)
+    return found.ensquared(side_mm)
 
 
 def _intensity(pupil: PupilFit, wave_mm: float, at_mm: Floats) -> Floats:
