@@ -23,7 +23,7 @@ from lensshift.camera import Sensor, simulate_burst
 from lensshift.core.grid import Grid
 from lensshift.core.pattern import named_pattern_px
 from lensshift.optics.lens_file import load_lens
-from lensshift.optics.picture import PICTURES, linear_rmse, picture_score, traced_frames
+from lensshift.optics.picture import PICTURES, linear_picture, picture_score, traced_frames
 from lensshift.scene import demo_target, siemens_star
 
 SIDE, FINE = 32, 4  # pixels of a frame, and points of the scene for each
@@ -153,7 +153,9 @@ def compare(scenes: int) -> None:
                     error_px = frames.px_per_um * actuator_um
                     squares = [
                         (
-                            linear_rmse(here_px, ours, noise, error_px, place_px=place_px) ** 2,
+                            linear_picture(
+                                here_px, ours, noise, error_px, place_px=place_px
+                            ).rmse ** 2,
                             np.mean([
                                 left(here_px, drawn, error_px, place_px, seed)
                                 for seed in range(scenes)

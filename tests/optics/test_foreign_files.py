@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foreign import BACK, FAR, FRONT, IMAGE, SINGLET, zmx
+from lenses import pupil_grid
 
 from lensshift.camera import LensOptics
 from lensshift.cli.optics import LightOptions, read_lens
@@ -19,7 +20,6 @@ from lensshift.optics.lens import Lens
 from lensshift.optics.lens_file import format_lens, load_lens, parse_lens
 from lensshift.optics.movers import which_mover
 from lensshift.optics.paraxial import matrices_around_stop, paraxial
-from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.trace import trace
 from lensshift.optics.zmx import load_zmx, parse_zmx
 from lensshift.pipeline.experiment_file import named_optics

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foreign import BACK, FAR, FRONT, IMAGE, SINGLET, zmx
+from lenses import pupil_grid
 
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.optics.agf import load_glass_catalogue, parse_agf
@@ -17,7 +18,6 @@ from lensshift.optics.glass_called import glass_called
 from lensshift.optics.lens import Lens
 from lensshift.optics.lens_file import format_lens, parse_lens
 from lensshift.optics.paraxial import paraxial
-from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.trace import trace
 from lensshift.optics.zmx import load_zmx, parse_zmx
 from lensshift.optics.zmx_writer import format_zmx

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lenses import pupil_grid
 
 from lensshift.optics.lens import Element, Lens, Stop, Surface
 from lensshift.optics.otf import exact_otf
 from lensshift.optics.paraxial import paraxial
-from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.spots import spots
 from lensshift.optics.trace import trace
 

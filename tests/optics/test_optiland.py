@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lenses import same_rays
+from lenses import pupil_grid, same_rays
 
 from lensshift.core.errors import DataError
 from lensshift.optics.lens import Lens, Stop, cover_glass
 from lensshift.optics.lens_file import lens_names, load_lens
 from lensshift.optics.optiland import from_optiland, to_optiland
 from lensshift.optics.paraxial import paraxial
-from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.trace import trace
 
 FIELD = np.array([0.03, 0.09])

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from foreign import FOREIGN, zmx
-from lenses import batoid_trace, same_rays
+from lenses import batoid_trace, pupil_grid, same_rays
 
 from lensshift.optics.otf import exact_otf
 from lensshift.optics.paraxial import paraxial
-from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.trace import Build, trace
 from lensshift.optics.zmx import parse_zmx
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lenses import PLANE, WAVELENGTH_NM, batoid_trace, perfect_lens
+from lenses import PLANE, WAVELENGTH_NM, batoid_trace, perfect_lens, pupil_grid
 
 from lensshift.optics.glass import refractive_index
 from lensshift.optics.lens import Element, Lens, Stop, Surface, cover_glass
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.paraxial import paraxial
-from lensshift.optics.pupil import pupil_grid, pupil_quadrature
+from lensshift.optics.pupil import pupil_quadrature
 from lensshift.optics.spots import fields_for_image, spots, wavefront
 from lensshift.optics.trace import Build, trace
 

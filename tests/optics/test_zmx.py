@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lenses import pupil_grid
 
 from lensshift.core.errors import DataError
 from lensshift.optics.lens import Element, Lens, Stop, Surface, cover_glass
 from lensshift.optics.lens_file import format_lens, lens_names, load_lens, parse_lens
-from lensshift.optics.pupil import pupil_grid
 from lensshift.optics.trace import trace
 from lensshift.optics.zmx import load_zmx, parse_zmx
 from lensshift.optics.zmx_writer import format_zmx, save_zmx

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from lensshift.core.arrays import Floats, Mask
 from lensshift.core.errors import QualityWarning
 from lensshift.core.linear_algebra import one_thread
 from lensshift.optics.lens import Lens
+from lensshift.optics.mtf import otf_of_rays
 from lensshift.optics.otf import PupilFit, pupils_of_fields
 from lensshift.optics.spots import Spots, spots
 from lensshift.optics.trace import Build
@@ -24,6 +26,9 @@ _FEW_POINTS = 40  # along an axis
 _MOST_POINTS = 1024  # along an axis; of a spot a hundred pixels wide rays say enough
 _RAY_RINGS = 24  # where there is no diffraction
 _MOST_SAMPLES = 2048  # across the pupil; beyond are 100 waves, where rays do
+# Of fewer samples waves cost no more than rays, whose OTF is within 0.005 of theirs (mostly 0.001)
+# at frequencies so far below the cutoff.
+_FEW_SAMPLES, _LOW = 256, 1.0 / 64.0
 _FEW_STEPS, _STEPS = 40, 200  # of the fit, on every other point and on all of them
 _CLOSE = 1e-3  # of the contrast, anywhere in the band
 _ENOUGH = 5e-3  # beyond, every other point is not
@@ -45,10 +50,6 @@ class LatticeImage:
 
     place: NDArray[np.int64]
     weight: Floats
-
-    def otf(self, cycles_per_step: Floats) -> NDArray[np.complex128]:
-        """Return sum w exp(-2 pi i f x) at frequencies [... 2] (row, col)."""
-        return np.asarray(np.exp(-2j * np.pi * cycles_per_step @ self.place.T) @ self.weight)
 
 
 def lattice_images(
@@ -77,12 +78,16 @@ def lattice_images(
             pupils[:] = pupils_of_fields(lens, field_tan, build=build)
         images = []
         for field, pupil in zip(field_tan, pupils, strict=True):
-            if pupil is None or _samples(lens, pupil) > _MOST_SAMPLES:
+            samples = 0.0 if pupil is None else _samples(lens, pupil)
+            wave_mm = 1e-6 * lens.wavelength_nm
+            low = pupil is not None and wave_mm * max(band_lpmm) < _LOW * 2.0 * pupil.span
+            if pupil is None or samples > (_FEW_SAMPLES if low else _MOST_SAMPLES):
                 spot = spots(lens, field, build=build, rings=_RAY_RINGS)
-                images.append(_image_of_rays(spot, step_mm, band_lpmm))
+                along = partial(otf_of_rays, lens, field, build=build) if low else None
+                images.append(_image_of_rays(spot, step_mm, band_lpmm, along))
             else:
                 count = _counts(np.full(2, _reach_mm(lens, pupil)), step_mm)
-                otf = _wave_otf(pupil, 1e-6 * lens.wavelength_nm, count, step_mm)
+                otf = _wave_otf(pupil, wave_mm, count, step_mm)
                 images.append(_image(otf, count, band_lpmm * step_mm))
     return images
 
@@ -97,18 +102,31 @@ def _samples(lens: Lens, pupil: PupilFit) -> float:
     return 4.0 * pupil.span * _reach_mm(lens, pupil) / (1e-6 * lens.wavelength_nm)
 
 
-def _image_of_rays(spot: Spots, step_mm: Floats, band_lpmm: Floats) -> LatticeImage:
-    """Return the image of a spot without diffraction, of a very wide one each ray as it lands."""
+def _image_of_rays(
+    spot: Spots, step_mm: Floats, band_lpmm: Floats, diffracted: Callable[[Floats], Otf] | None
+) -> LatticeImage:
+    """Return the image of a spot, of a very wide one each ray as it lands.
+
+    With its OTF at frequencies [n 2] if that is given, else without diffraction.
+    """
     count = _counts(np.abs(spot.ray_mm).max(axis=0), step_mm)
+    landing = spot.ray_mm / step_mm
+    place = np.rint(landing).astype(np.int64)
     if max(count) > _MOST_POINTS:
         arrives = spot.weight > 0.0
-        place = np.rint(spot.ray_mm[arrives] / step_mm).astype(np.int64)
-        return LatticeImage(place, spot.weight[arrives])
-    row, col = (
-        np.exp(-2j * np.pi * np.outer(cycles, place))
-        for cycles, place in zip(_cycles(count), (spot.ray_mm / step_mm).T, strict=True)
-    )
-    return _image(np.asarray((row * spot.weight) @ col.T), count, band_lpmm * step_mm)
+        return LatticeImage(place[arrives], spot.weight[arrives])
+    light = np.zeros(count)
+    np.add.at(light, tuple(place.T), spot.weight)  # where the fit begins
+    otf, wanted = np.fft.rfft2(light), _wanted(count, band_lpmm * step_mm)
+    wanted[0, 0] = False  # there it is 1
+    if wanted.any():
+        at = zip(_cycles(count), np.nonzero(wanted), strict=True)
+        cycles = np.stack([of_axis[number] for of_axis, number in at], axis=-1)
+        if diffracted is None:
+            otf[wanted] = np.exp(-2j * np.pi * cycles @ landing.T) @ spot.weight
+        else:
+            otf[wanted] = diffracted(cycles / step_mm)
+    return _image(otf, count, band_lpmm * step_mm)
 
 
 def _image(otf: Otf, count: tuple[int, int], band: Floats) -> LatticeImage:
@@ -116,8 +134,7 @@ def _image(otf: Otf, count: tuple[int, int], band: Floats) -> LatticeImage:
 
     On every other point where that does, because the light is spread anyway.
     """
-    cycles = zip(_cycles(count), band, strict=True)
-    wanted = np.logical_and.outer(*(np.abs(cycle) <= highest for cycle, highest in cycles))
+    wanted = _wanted(count, band)
     stride, missing = 2, np.inf
     if max(count) > _FEW_POINTS:
         light, missing = _fitted(_halved(otf), _halved(wanted), _FEW_STEPS)
@@ -126,6 +143,13 @@ def _image(otf: Otf, count: tuple[int, int], band: Floats) -> LatticeImage:
         light, _ = _fitted(otf, wanted, _STEPS)
     place, weight = _drawn_together(np.fft.fftshift(light))
     return LatticeImage(stride * place, weight)
+
+
+def _wanted(count: tuple[int, int], band: Floats) -> Mask:
+    """Return which frequencies of `rfft2` lie within a band, in cycles per step."""
+    cycles = zip(_cycles(count), band, strict=True)
+    row, col = (np.abs(cycle) <= highest for cycle, highest in cycles)
+    return np.asarray(row[:, None] & col)
 
 
 def _halved(spectrum: NDArray[Any]) -> NDArray[Any]:

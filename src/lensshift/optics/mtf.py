@@ -6,6 +6,7 @@ Two ways: exact (`lensshift.optics.otf`) and fast, from landing points of rays, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -108,19 +109,10 @@ def fast_mtf(
     field_tan: ArrayLike,
     frequency_lpmm: ArrayLike,
     azimuth_rad: ArrayLike = AZIMUTHS_RAD,
-    *,
-    build: Build | None = None,
-    band: Band | None = None,
-    defocus_mm: ArrayLike = 0.0,
-    rings: int | None = None,
+    **options: Any,
 ) -> Floats:
-    """Return the MTF from the landing points of rays: the modulus of `fast_otf`."""
-    return np.abs(
-        fast_otf(
-            lens, field_tan, frequency_lpmm, azimuth_rad, build=build, band=band,
-            defocus_mm=defocus_mm, rings=rings,
-        )
-    )  # fmt: skip
+    """Return the MTF from the landing points of rays: the modulus of `fast_otf`, which see."""
+    return np.abs(fast_otf(lens, field_tan, frequency_lpmm, azimuth_rad, **options))
 
 
 def fast_otf(
@@ -173,6 +165,27 @@ def fast_otf(
     frequency = np.atleast_1d(np.asarray(frequency_lpmm, dtype=np.float64))
     axes = azimuth_axes(azimuth_rad).T
     light = light_of(band, lens.wavelength_nm)
+    return _otf_along(lens, field_tan, frequency, axes, build, light, defocus_mm, rings)
+
+
+def otf_of_rays(
+    lens: Lens, field_tan: ArrayLike, frequency_lpmm: Floats, *, build: Build | None = None
+) -> NDArray[np.complex128]:
+    """Return `fast_otf` at frequencies [n 2] (row, col) other than 0, [... n]."""
+    light, once = light_of(None, lens.wavelength_nm), np.ones(1)
+    return _otf_along(lens, field_tan, once, frequency_lpmm.T, build, light)[..., 0]
+
+
+def _otf_along(
+    lens: Lens,
+    field_tan: ArrayLike,
+    frequency: Floats,
+    axes: Floats,
+    build: Build | None,
+    light: list[tuple[float, float]],
+    defocus_mm: ArrayLike = 0.0,
+    rings: int | None = None,
+) -> NDArray[np.complex128]:
     parts, count = _enough_spots(lens, field_tan, build, light, axes, frequency, defocus_mm, rings)
     share = [w * part.transmission for (_, w), part in zip(light, parts, strict=True)]
     total = sum(share)
@@ -270,13 +283,14 @@ def _spot_otf(
     weight = spot.weight[..., None, :]
     mean = (weight * cosine).sum(axis=-1, keepdims=True)
     width = 4.0 * np.sqrt((weight * (cosine - mean) ** 2).sum(axis=-1) / (1.0 + inner**2))
-    shear_mm = wavelength_nm * 1e-6 / width
+    size = np.linalg.norm(axes, axis=0)  # 1, or a frequency: then that of all is 1
+    shear_mm = wavelength_nm * 1e-6 * size**2 / width
     otf = np.empty((*landing.shape[:-1], len(frequency_lpmm)), dtype=np.complex128)
     count, rays = len(axes.T), landing.shape[-1]
     spot_otf(
         landing.reshape(-1, count, rays),
         np.broadcast_to(whole.weight, (*landing.shape[:-2], rays)).copy().reshape(-1, rays),
-        np.abs(axes.T @ pupil_arms(rings).T), ring_edges(rings, inner), inner,
+        np.abs((axes / size).T @ pupil_arms(rings).T), ring_edges(rings, inner), inner,
         np.broadcast_to(shear_mm, landing.shape[:-1]).copy().reshape(-1, count),
         frequency_lpmm, otf.reshape(-1, count, len(frequency_lpmm)),
     )  # fmt: skip
@@ -315,28 +329,6 @@ def sensor_mtf(
         for n, at in zip(grid.shape, (rows, cols), strict=True)
     )
     return np.asarray(np.einsum("rn,cm,nm...->rc...", down, across, np.stack(found), optimize=True))
-
-
-def through_focus(
-    lens: Lens,
-    field_tan: ArrayLike,
-    frequency_lpmm: float,
-    defocus_mm: ArrayLike,
-    azimuth_rad: ArrayLike = AZIMUTHS_RAD,
-    *,
-    band: Band | None = None,
-) -> Floats:
-    """Return the fast MTF at several sensor positions, [focus ... azimuth].
-
-    Parameters
-    ----------
-    field_tan : [... 2] (row, col)
-    defocus_mm : [focus] sensor moved away from the lens
-    """
-    fields = np.asarray(field_tan, dtype=np.float64)
-    steps = np.asarray(defocus_mm, dtype=np.float64)
-    away = steps.reshape(-1, *(1,) * (fields.ndim - 1))
-    return fast_mtf(lens, fields, frequency_lpmm, azimuth_rad, band=band, defocus_mm=away)[..., 0]
 
 
 def pixel_centres_mm(grid: Grid) -> Floats:

@@ -39,7 +39,7 @@ class PictureScore:
     ----------
     element : number of the one that moves, from 0
     pattern : of the frames
-    place_px : of the pixels of the picture, as in `linear_rmse`
+    place_px : of the pixels of the picture, as in `linear_picture`
     rmse : error of the picture as a share of full scale, root mean square over the fields
     rmse_exact : the same if the actuator made no error
     mtf : contrast beyond what the pixels of frames carry (`linear_mtf`), mean over the fields
@@ -80,7 +80,7 @@ def picture_score(
     ----------
     element : number of the one that moves, from 0
     pattern : a name of `lensshift.core.pattern.PATTERNS`
-    place_px : of the pixels of the picture, as in `linear_rmse`; another than 1/4 is had by that
+    place_px : of the pixels of the picture, as in `linear_picture`; another than 1/4 is had by that
         much more or less in all offsets of a burst
     actuator_um : standard deviation of each position of the element
     noise : of a pixel of four frames, standard deviation as a share of full scale
@@ -98,9 +98,9 @@ def picture_score(
     squares, contrast = [], []
     for number in range(frames.offset_px.shape[1]):
         seen = (frames.offset_px[:, number], frames.otf(number), each_noise)
-        both = [linear_rmse(*seen, wrong, place_px=place_px) for wrong in (error_px, 0.0)]
-        squares.append(np.square(both))
-        contrast.append(linear_mtf(*seen, error_px, place_px=place_px))
+        wrong, right = (linear_picture(*seen, px, place_px=place_px) for px in (error_px, 0.0))
+        squares.append(np.square([wrong.rmse, right.rmse]))
+        contrast.append(wrong.mtf)
     rmse, exact = map(float, np.sqrt(np.mean(squares, axis=0)))
     mtf = float(np.mean(contrast))
     return PictureScore(element, pattern, place_px, rmse, exact, mtf, error_px)
@@ -167,7 +167,22 @@ def traced_frames(lens: Lens, element: int, grid: Grid, pattern_px: ArrayLike) -
     )
 
 
-def linear_rmse(
+class LinearPicture(NamedTuple):
+    """What the best linear estimate of a picture from frames leaves and passes.
+
+    Parameters
+    ----------
+    rmse : root mean square error
+    mtf : contrast beyond what the pixels of frames carry: the mean, along rows and columns from
+        half a cycle to one cycle per pixel, of the picture's share of a wave that the scene has,
+        against that of sharp pixels half the size
+    """
+
+    rmse: float
+    mtf: float
+
+
+def linear_picture(
     offset_px: ArrayLike,
     otf: Callable[[Floats], NDArray[np.complex128]],
     noise: float,
@@ -175,8 +190,8 @@ def linear_rmse(
     *,
     scene: float = _SCENE,
     place_px: float | None = PLACE_PX,
-) -> float:
-    """Return the root mean square error of the best linear estimate of a picture from frames.
+) -> LinearPicture:
+    """Return error and contrast of the best linear estimate of a picture from frames.
 
         frame_k(f) = sum_m A_km s(f + m),  A_km = OTF_k sinc(f_row) sinc(f_col) exp(-2 pi i f p_k)
         E = S - S A* (A S A* + N)^-1 A S
@@ -202,36 +217,15 @@ def linear_rmse(
     D. J. Field, J. Opt. Soc. Am. A 4 (1987) 2379.
     """
     found = _estimate(offset_px, otf, noise, shift_error_px, scene)
-    left = -found.known
-    left[:, range(len(found.alias)), range(len(found.alias))] += found.power
-    wanted = found.aperture[:, :, None] * found.aperture[:, None, :] * _folded(found, place_px)
-    return float(np.sqrt(max(0.0, np.sum((wanted * left).real))))
-
-
-def linear_mtf(
-    offset_px: ArrayLike,
-    otf: Callable[[Floats], NDArray[np.complex128]],
-    noise: float,
-    shift_error_px: float = 0.0,
-    *,
-    scene: float = _SCENE,
-    place_px: float | None = PLACE_PX,
-) -> float:
-    """Return the contrast of the best linear estimate beyond what the pixels of frames carry.
-
-    The mean, along rows and columns from half a cycle to one cycle per pixel, of the picture's
-    share of a wave that the scene has, against that of sharp pixels half the size.
-
-    Parameters
-    ----------
-    offset_px, otf, noise, shift_error_px, scene, place_px : as for `linear_rmse`
-    """
-    found = _estimate(offset_px, otf, noise, shift_error_px, scene)
     folded = _folded(found, place_px) * found.aperture[:, :, None]
     passed = np.einsum("fnm,fnm->fm", folded.conj(), found.known).real
     passed = passed / (found.aperture * found.power)
     high, low = np.abs(found.frequency).max(axis=-1), np.abs(found.frequency).min(axis=-1)
-    return float(passed[(high > 0.5) & (high < 1.0) & (low < 1.0 / _WAVES)].mean())
+    contrast = passed[(high > 0.5) & (high < 1.0) & (low < 1.0 / _WAVES)].mean()
+    left = -found.known
+    left[:, range(len(found.alias)), range(len(found.alias))] += found.power
+    square = np.sum((folded * found.aperture[:, None, :] * left).real)
+    return LinearPicture(float(np.sqrt(max(0.0, square))), float(contrast))
 
 
 class _Estimate(NamedTuple):

@@ -70,22 +70,6 @@ def _gauss_legendre(count: int) -> tuple[Floats, Floats]:
     return np.asarray(node), np.asarray(weight)
 
 
-def pupil_grid(count: int) -> Floats:
-    """Return the points [ray 2] (row, col) of a square grid that lie on the unit disc.
-
-    Raises
-    ------
-    ValueError
-        If `count`, the number of points across the disc, is below 2.
-    """
-    if count < 2:
-        raise ValueError(f"expected at least 2 points across the pupil, got {count}")
-    along = midpoints(count)
-    row, col = np.meshgrid(along, along, indexing="ij")
-    inside = row**2 + col**2 <= 1.0
-    return np.stack([row[inside], col[inside]], axis=-1)
-
-
 def midpoints(count: int) -> Floats:
     """Return the middles of as many equal parts of -1 .. 1."""
     return np.asarray((np.arange(count) + 0.5) * (2.0 / count) - 1.0)
