@@ -91,7 +91,6 @@ def _row(lens: Lens, grid: Grid, field_tan: Any, band: Band | None) -> dict[str,
     focus = focal_surfaces(lens, field_tan)
     sides_mm = np.array([0.5, 1.0]) * min(grid.pitch_mm)
     half, whole = ensquared_energy(lens, field_tan, sides_mm, band=band)
-    row = {"field, row/column (degrees)": f"{abs(row_deg):.2f}/{abs(col_deg):.2f}"}
     both = zip(at_lpmm, section_mtf(lens, field_tan, at_lpmm, band=band).T, strict=True)
     modulation = {
         f"MTF {section} at {lpmm:.3g} LP/mm": float(value)
@@ -99,7 +98,7 @@ def _row(lens: Lens, grid: Grid, field_tan: Any, band: Band | None) -> dict[str,
         for section, value in zip("TS", found, strict=True)
     }
     return {
-        **row,
+        "field, row/column (degrees)": f"{abs(row_deg):.2f}/{abs(col_deg):.2f}",
         **modulation,
         "focus T behind the sensor (mm)": float(focus.tangential_mm),
         "focus S behind the sensor (mm)": float(focus.sagittal_mm),

@@ -26,16 +26,12 @@ def spot_means(rays: RayBundle, weight: Floats) -> tuple[Floats, Floats, Floats]
     """
     alive = np.where(rays.passed, weight, 0.0)
     transmission = alive.sum(axis=-1)
-
-    def mean(values: Floats) -> Floats:
-        reached = np.where(rays.passed[..., None], values, 0.0)
-        with np.errstate(invalid="ignore"):  # no light
-            return np.asarray(
-                np.einsum("...r,...ri->...i", alive, reached) / transmission[..., None]
-            )
-
     slope = rays.direction[..., :2] / rays.direction[..., 2:]
-    return transmission, mean(rays.position_mm), mean(slope)
+    both = np.concatenate([rays.position_mm, slope], axis=-1)
+    reached = np.where(rays.passed[..., None], both, 0.0)
+    with np.errstate(invalid="ignore"):  # no light
+        mean = np.einsum("...r,...ri->...i", alive, reached) / transmission[..., None]
+    return transmission, mean[..., :2], mean[..., 2:]
 
 
 def scan_focus(

@@ -42,7 +42,7 @@ class Tolerances:
     Parameters
     ----------
     decenter_mm : along rows and along columns
-    tilt_rad : towards rows and towards columns
+    tilt_rad : towards rows and towards columns; not of mirrors, which turn what is behind them
     gap_mm : of the air between elements
     focal_share : of the focal length, as a share of it; taken as a change of index - 1, so that
         mirrors keep theirs
@@ -149,7 +149,7 @@ def tolerance_analysis(
     Warns
     -----
     QualityWarning
-        If builds would need more than `refocus_mm`.
+        If builds would need more than `refocus_mm`, or mirrors are left untilted.
     """
     if builds < 1:
         raise ValueError(f"expected at least 1 build, got {builds}")
@@ -164,6 +164,8 @@ def tolerance_analysis(
         if on_progress is not None:
             on_progress(start + len(chunk), builds)
     mtf, moved_px, away_mm = (np.concatenate(values) for values in zip(*parts, strict=True))
+    if tolerances.tilt_rad and any(one.folds for one in lens.elements):
+        warn_quality("no mirror is tilted: all behind it, which is drawn unfolded, would turn too")
     beyond = int(np.sum(np.abs(away_mm) > refocus_mm - bench.coarse_mm))
     if beyond:
         warn_quality(
@@ -218,8 +220,8 @@ def sensitivity_table(
     count = len(lens.elements)
     cases, draws = [("", 0)], [np.zeros((_ROWS, count))]
     for kind, number in product(_KINDS, range(count)):
-        last_gap = kind == "gap" and number == count - 1
-        if last_gap or (kind in _OF_GLASS and not lens.elements[number].glass):
+        one, last_gap = lens.elements[number], kind == "gap" and number == count - 1
+        if last_gap or (kind in _OF_GLASS and not one.glass) or (kind == "tilt" and one.folds):
             continue
         for signs in product((-1.0, 1.0), repeat=len(_KINDS[kind])):
             cases.append((kind, number))
@@ -228,11 +230,10 @@ def sensitivity_table(
     mtf, moved_px, away_mm = bench.measure(_deviations(lens, tolerances, np.array(draws)))
     loss = mtf[0].min() - mtf.min(axis=(1, 2, 3))
     error_px = np.linalg.norm(moved_px - moved_px[0], axis=-1).max(axis=(1, 2))
-    refocus = np.abs(away_mm - away_mm[0])
     table = []
     for kind, element in dict.fromkeys(cases[1:]):
         mine = [number for number, one in enumerate(cases) if one == (kind, element)]
-        worst = (float(of[mine].max()) for of in (loss, error_px, refocus))
+        worst = (float(of[mine].max()) for of in (loss, error_px, np.abs(away_mm - away_mm[0])))
         table.append(Sensitivity(kind, element, lens.elements[element].name, *worst))
     return tuple(sorted(table, key=lambda row: -row.mtf_loss))
 
@@ -257,10 +258,11 @@ def _deviations(lens: Lens, tolerances: Tolerances, draws: Floats) -> Build:
     power = np.array([np.mean(of) - 1.0 if of else math.inf for of in lens.indices()])
     factor = 1.0 / (1.0 + tolerances.focal_share * draws[:, 5])
     factor = factor + tolerances.index * draws[:, 6] / power
+    turning = np.array([[not one.folds] for one in lens.elements])
     spread = (slice(None), None, None)
     return Build(
         decenter_mm=tolerances.decenter_mm * np.moveaxis(draws[:, 0:2], 1, -1)[spread],
-        tilt_rad=tolerances.tilt_rad * np.moveaxis(draws[:, 2:4], 1, -1)[spread],
+        tilt_rad=tolerances.tilt_rad * (turning * np.moveaxis(draws[:, 2:4], 1, -1))[spread],
         gap_mm=gap_mm[spread],
         index_factor=factor[spread],
     )
