@@ -289,13 +289,15 @@ def _model(name: str) -> Glass:
         raise ValueError(f"expected a glass like model:1.5168:64.17:0, got {name!r}") from error
     if not (1.0 < index_d < 5.0 and 0 < abbe < 1e6 and abs(partial) < 1.0):
         raise ValueError(f"expected an index above 1 and an Abbe number above 0, got {name!r}")
-    width = (index_d - 1.0) / abbe
+    still = abbe > _LARGEST_ABBE  # the same index in all light
+    width = 0.0 if still else (index_d - 1.0) / abbe
     um = np.array([D_UM, F_UM, C_UM, _G_UM])
     terms = np.stack([np.ones(4), 1.0 / um, um**-3.5], axis=-1)
-    ratio = 0.6438 - 0.001682 * min(abbe, _LARGEST_ABBE) + partial
+    ratio = 0.6438 - 0.001682 * abbe + partial
     system = np.stack([terms[0], terms[1] - terms[2], terms[3] - terms[1]])
     constants = np.linalg.solve(system, [index_d, width, ratio * width])
-    return Glass("conrady", tuple(map(float, constants)), source=BY_CODE)
+    span_nm = (100.0, 1e6) if still else _MODEL_RANGE_NM
+    return Glass("conrady", tuple(map(float, constants)), range_nm=span_nm, source=BY_CODE)
 
 
 def refractive_index(
