@@ -102,6 +102,21 @@ def test_coma_turns_the_phase_as_the_trace_says() -> None:
         assert np.abs(fitted - traced).max() < max(0.01, 0.3 * np.abs(even - traced).max())
 
 
+def test_a_spot_that_leans_in_a_corner_is_told() -> None:
+    """Blur towards the middle of a square sensor is taken for blur in all directions there."""
+    lens, grid = load_lens("al2550"), Grid((24, 24), (0.4, 0.4))
+    field = lens_field(lens, grid, None)
+    spot_px2 = field.at([[0.0, 0.0]]).spot_px2
+    assert spot_px2 is not None
+    corner = fields_for_image(lens, np.full((1, 2), 11.5 * 0.4))[0]
+    cpp, aslant_rad = np.array([0.25, 0.5]), np.array([0.25, 0.75]) * np.pi
+    towards, across = np.abs(fast_otf(lens, corner, cpp / 0.4, aslant_rad))
+    model = np.exp(-2.0 * (np.pi * cpp) ** 2 * spot_px2[0, 23, 23].mean())
+    assert np.all((towards < model) & (model < across))
+    off = np.sinc(cpp / 2**0.5) ** 2 * np.maximum(model - towards, across - model)
+    assert 0.1 < off.max() < 1.2 * field.contrast_error
+
+
 @pytest.mark.parametrize("skew_px3", [-0.1, 0.0, 0.02, 0.2])
 def test_a_third_moment_is_read_from_its_own_phase(skew_px3: float) -> None:
     w = 2.0 * np.pi * np.arange(1, 8) / 8

@@ -51,7 +51,8 @@ class LensField:
     shift_error_px : largest difference to the traced shift where it was not fitted
     spot_error_px : largest difference of a width (standard deviation) in the same way
     contrast_error : largest difference of the contrast behind lens and pixel, phase included, that
-        a Gaussian of that variance and third moment makes up to the pixel frequency
+        a Gaussian of that variance and third moment makes up to the pixel frequency, along the axes
+        and the diagonals
     notes : text and numbers: wavelength, temperature
     skew_px3 : [i j a b 2] of the third central moment (row, col) of the spot; none: it is even
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from lensshift.core.errors import DataError, warn_quality
@@ -79,7 +80,7 @@ def parse_agf(
     words: list[str] = []
     for number, line in enumerate([*text.splitlines(), "NM"], start=1):
         key, *rest = line.split() or [""]  # at spaces or tabs
-        if _is_number(key):  # the entry goes on in this line
+        if re.match(r"[-+]?\.?\d", key):  # the entry goes on in this line
             words += [key, *rest]
             continue
         words = rest
@@ -100,14 +101,6 @@ def parse_agf(
         if key in ("NM", "CD", "TD", "LD", "GC"):
             lines[key] = (number, words)
     return glasses
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _glass(lines: dict[str, tuple[int, list[str]]]) -> tuple[str, Glass]:

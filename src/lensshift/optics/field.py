@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -18,7 +19,7 @@ from lensshift.core.grid import Grid
 from lensshift.core.lens_field import MOTIONS, LensField, Motion
 from lensshift.optics.directions import continued
 from lensshift.optics.lens import Lens
-from lensshift.optics.mtf import fast_otf
+from lensshift.optics.mtf import otf_of_rays
 from lensshift.optics.paraxial import paraxial
 from lensshift.optics.shift import NEAR, central_slope, moving, probe_mm
 from lensshift.optics.spots import centroids_mm, fields_for_image, marks_of, spots
@@ -40,9 +41,11 @@ _WIDEST_PX = 10.0  # of a spot: nothing is left of what pixels could see
 _DOUBTFUL_WIDTH_PX = 0.03  # beside the 0.29 px of a pixel a change of 0.5 %
 _SPOT_PX2 = 1e-4  # and a variance: a width of 0.3 px by 2e-4 px
 _CHECKED = (5, 4)  # places and states along an axis where a fit is checked
-_MOST_TRACES = len(_DEGREES) + len(_SPOT_DEGREES) + 3  # those of each degree, and those checked
+_MOST_TRACES = len(_DEGREES) + len(_SPOT_DEGREES) + 4  # those of each degree, and those checked
 # Cycles per pixel at which the spot is compared with a Gaussian.
 _CPP = np.arange(1, 8) / 8.0
+_AXES = np.eye(2)
+_ASLANT = np.array([[1.0, 1.0], [1.0, -1.0]]) / 2**0.5
 _NO_CONTRAST = 1e-3  # its logarithm would weigh nothing
 _SPOT_STEPS, _SPOT_STILL = 30, 1e-6  # far below what a fit may be off by
 _SPOT_STRIDE = 0.1  # px^2 and px^3: a step farther may leave where the OTF is nearly linear in them
@@ -133,7 +136,9 @@ def _fitted(mover: _Mover, told: Callable[[int, int], None] | None) -> tuple[Len
 
     shift_px, shift_error_px = _fit(counted(mover.shifts), _DEGREES, _SHIFT_PX)
     spot, _ = _fit(counted(mover.spots), _SPOT_DEGREES, _SPOT_PX2)
-    spot_error_px, near_error_px, contrast_error = _spot_errors(counted(mover.otf), spot)
+    spot_error_px, near_error_px, contrast_error = _spot_errors(
+        counted(mover.otf), counted(partial(mover.otf, along=_ASLANT)), spot
+    )
     field = LensField(
         grid=mover.grid,
         shift_px=shift_px,
@@ -193,21 +198,18 @@ class _Mover:
         )
         return np.asarray((moved_mm - resting_mm) / pitch_mm)
 
-    def otf(self, u: Floats, s: Floats) -> Waves:
-        """Return the OTF about the centroid [place state 2 frequency] along (row, col)."""
+    def otf(self, u: Floats, s: Floats, along: Floats = _AXES) -> Waves:
+        """Return the OTF about the centroid [place state 2 frequency] along two directions."""
         state = s * np.asarray(self.reach)
         fields = self._fields(u, state)
         found = np.full((len(u), len(s), 2, len(_CPP)), np.nan, np.complex128)
-        azimuths_rad, pitches_mm = np.array([0.5 * np.pi, 0.0]), np.asarray(self.grid.pitch_mm)
-        parts = [slice(0, 2)] if pitches_mm[0] == pitches_mm[1] else [slice(0, 1), slice(1, 2)]
+        lpmm = (along[:, None] * _CPP[:, None] / self.grid.pitch_mm).reshape(-1, 2)
         for place, field_tan in enumerate(fields):  # each with as many rays as it needs
             lit = np.flatnonzero(np.isfinite(field_tan[:, 0]))
-            for axes in parts if lit.size else ():
-                lpmm = _CPP / pitches_mm[axes][0]
-                found[place, lit, axes] = fast_otf(
-                    self.lens, field_tan[lit], lpmm, azimuths_rad[axes],
-                    build=self._build(state[lit]),
-                )  # fmt: skip
+            if lit.size:
+                build = self._build(state[lit])
+                of_lit = otf_of_rays(self.lens, field_tan[lit], lpmm, build=build)
+                found[place, lit] = of_lit.reshape(len(lit), 2, -1)
         return found
 
     def spots(self, u: Floats, s: Floats) -> Floats:
@@ -322,10 +324,10 @@ def _fit(sample: Sample, degrees: tuple[tuple[int, int], ...], goal: float) -> t
     return best, least
 
 
-def _spot_errors(sample: Sample, spot: Floats) -> tuple[float, float, float]:
+def _spot_errors(sample: Sample, aslant: Sample, spot: Floats) -> tuple[float, float, float]:
     """Return the largest errors of a width in px, everywhere and near rest, and of the contrast.
 
-    The contrast is that behind lens and pixel.
+    The contrast is that behind lens and pixel, along the axes and the diagonals.
     """
     places, states = (_crossed(np.linspace(-1.0, 1.0, count)) for count in _CHECKED)
     otf = sample(places, states)
@@ -333,6 +335,9 @@ def _spot_errors(sample: Sample, spot: Floats) -> tuple[float, float, float]:
     fitted_px2 = np.maximum(fitted_px2, 0.0)
     width_px = np.sqrt(equivalent_spot(otf)[0])
     off = np.abs(spot_otf(fitted_px2, fitted_px3) - otf) * np.sinc(_CPP)
+    mixed_px2, mixed_px3 = fitted_px2 @ (_ASLANT**2).T, fitted_px3 @ (_ASLANT**3).T
+    slanted = np.abs(spot_otf(mixed_px2, mixed_px3) - aslant(places, states))
+    off = np.maximum(off, slanted * np.sinc(_CPP / 2**0.5) ** 2)
     wrong_px = np.nanmax(np.abs(np.sqrt(fitted_px2) - width_px), axis=(0, 2))
     near = np.abs(states).max(axis=-1) < 0.5
     return float(np.nanmax(wrong_px)), float(np.nanmax(wrong_px[near])), float(np.nanmax(off))
