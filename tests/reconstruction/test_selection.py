@@ -19,7 +19,7 @@ from lensshift.reconstruction.priors import (
     TotalVariation,
 )
 from lensshift.reconstruction.reconstruct import reconstruct
-from lensshift.reconstruction.selection import cross_validate, prior_share, softer_weight
+from lensshift.reconstruction.selection import cross_validate, predicting_weight, prior_share
 from lensshift.reconstruction.solver import MaximumAPosteriori, Reweighted
 
 SHAPE = (14, 18)
@@ -152,7 +152,9 @@ def test_a_wider_blur_hides_more_of_the_differences() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("sigma", [0.2, 0.02])
-def test_the_softer_weight_leaves_what_noise_is(A: LinearOperator, sigma: float, seed: int) -> None:
+def test_the_predicting_weight_leaves_what_noise_is(
+    A: LinearOperator, sigma: float, seed: int
+) -> None:
     y = photograph(edge_scene, SHAPE, SQUARE_PX)
     y += sigma * np.random.default_rng(seed).standard_normal(y.shape)
     solve, ones = _solver(A, y), np.ones(y.shape)
@@ -160,7 +162,7 @@ def test_the_softer_weight_leaves_what_noise_is(A: LinearOperator, sigma: float,
     def at(value: float, frames: np.ndarray) -> np.ndarray:
         return _solver(A, frames)(value, ones)
 
-    chosen = softer_weight(at, A, y, ones, 10.0, sigma)
+    chosen = predicting_weight(at, A, y, ones, 10.0, sigma)
     left, before = (
         np.mean((y - A.forward(solve(one, ones))) ** 2) for one in (chosen, chosen * 10**0.5)
     )
@@ -186,14 +188,14 @@ def test_noise_that_is_told_too_small_does_not_let_the_picture_follow_it(
 
     expected = truth(edge_scene, SHAPE, 2)
     right, wrong = (
-        interior_psnr(at(softer_weight(at, A, y, ones, 10.0, sigma), y), expected)
+        interior_psnr(at(predicting_weight(at, A, y, ones, 10.0, sigma), y), expected)
         for sigma in (0.2, 0.1)
     )
     assert wrong > right - 1.0
     assert interior_psnr(at(1e-6, y), expected) < right - 3.0
 
 
-def test_the_softer_weight_of_complex_frames_is_that_of_their_parts(A: LinearOperator) -> None:
+def test_the_predicting_weight_of_complex_frames_is_that_of_their_parts(A: LinearOperator) -> None:
     rng = np.random.default_rng(0)
     y = photograph(edge_scene, SHAPE, SQUARE_PX)
 
@@ -202,8 +204,8 @@ def test_the_softer_weight_of_complex_frames_is_that_of_their_parts(A: LinearOpe
         return parts[0] + 1j * parts[1] if frames.dtype.kind == "c" else parts[0]
 
     one, two = y + 0.1 * rng.standard_normal((2, *y.shape))
-    both = softer_weight(at, A, one + 1j * two, np.ones(y.shape), 10.0, 0.1)
-    alone = [softer_weight(at, A, part, np.ones(y.shape), 10.0, 0.1) for part in (one, two)]
+    both = predicting_weight(at, A, one + 1j * two, np.ones(y.shape), 10.0, 0.1)
+    alone = [predicting_weight(at, A, part, np.ones(y.shape), 10.0, 0.1) for part in (one, two)]
     assert min(alone) / 4 < both < max(alone) * 4
 
 
@@ -230,3 +232,25 @@ def test_no_method_blurs_a_scene_away_in_noise(method: str, sigma: float, seed: 
         return interior_psnr(found.image, expected)
 
     assert quality(None) > max(quality(10.0**e) for e in range(-5, 1)) - 2.5
+
+
+@pytest.mark.parametrize(("count", "scale", "seed"), [(4, 2, 0), (6, 3, 0), (6, 3, 1)])
+def test_without_noise_a_picture_is_not_made_of_what_the_model_leaves(
+    count: int, scale: int, seed: int
+) -> None:
+    """Of a picture full of amplified errors the prior asks less and less."""
+    rng = np.random.default_rng(seed)
+    offset_px = rng.uniform(-0.5, 0.5, (count, 2))
+    frames = photograph(edge_scene, (20, 20), offset_px)
+    frames += 0.001 * rng.standard_normal(frames.shape)
+    burst = Burst.from_arrays(frames, offset_px=offset_px, pitch_mm=0.1)
+    expected = truth(edge_scene, (20, 20), scale)
+
+    def quality(weight: float | None) -> float:
+        found = reconstruct(
+            burst, scale, "tikhonov", psf_sigma_px=0.289, prior_weight=weight, std=False
+        ).amplitude
+        assert found is not None
+        return interior_psnr(found.image, expected)
+
+    assert quality(None) > max(quality(10.0**e) for e in range(-4, 1)) - 1.5

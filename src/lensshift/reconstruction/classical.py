@@ -22,7 +22,7 @@ from lensshift.reconstruction.method import Method, Request, Weight
 from lensshift.reconstruction.options import one_of, option, positive, weight, whole
 from lensshift.reconstruction.priors import PRIORS, BilateralTotalVariation, SparseDifferences
 from lensshift.reconstruction.problem import Problem, peak_of
-from lensshift.reconstruction.selection import cross_validate, prior_share, softer_weight
+from lensshift.reconstruction.selection import cross_validate, predicting_weight, prior_share
 from lensshift.reconstruction.solver import MaximumAPosteriori, Reweighted
 from lensshift.reconstruction.uncertainty import PropagatedStd
 
@@ -66,7 +66,7 @@ class _Penalised(Method):
         raise NotImplementedError
 
     def _found(self, fit: Reweighted, problem: Problem, seed: int) -> float:
-        """Find the weight: as the prior would have it, but softer where that leaves the scene."""
+        """Find the weight: as the prior would have it, or the frames where they tell better."""
         shown, weight = problem.shown_noise, problem.telling_weight
         squares = isinstance(fit.loss, Squares)
         if not squares:  # squares feel the outliers, the other losses hardly do
@@ -82,7 +82,9 @@ class _Penalised(Method):
             return self._image(replace(fit, prior_weight=value), problem, y)
 
         sigma = max(felt, shows)  # errors of the model are no scene
-        return softer_weight(solve, problem.model.operator, problem.y, weight, most, sigma, seed)
+        return predicting_weight(
+            solve, problem.model.operator, problem.y, weight, most, sigma, seed
+        )
 
     def _arrays(self, problem: Problem) -> tuple[Array, Array]:
         """Return frames and weights in the precision to compute in."""

@@ -14,8 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -117,14 +115,6 @@ class HuberDifferences(Prior):
         return np.asarray(0.5 / np.maximum(size, self.threshold))
 
 
-@lru_cache(maxsize=8)
-def _decay(window: int, alpha: float, kind: np.dtype[Any]) -> Array:
-    """Return alpha^(|l| + |m|) [direction 1 1], read-only."""
-    decay = np.asarray(alpha ** np.abs(half_plane(window)).sum(axis=1), kind)[:, None, None]
-    decay.flags.writeable = False
-    return decay
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class BilateralTotalVariation(Prior):
     """Bilateral total variation, with weights of its own for every difference if it is sparse.
@@ -185,7 +175,8 @@ class BilateralTotalVariation(Prior):
         return replace(self, beta=beta.astype(x.real.dtype, copy=False))
 
     def _share(self, x: Array) -> Array:
-        return _decay(self.window, self.alpha, x.real.dtype)
+        steps = np.abs(self.directions).sum(axis=1)
+        return np.asarray(self.alpha**steps, x.real.dtype)[:, None, None]
 
     def _weight(self, x: Array) -> Array:
         return self._share(x) if self.beta is None else self._share(x) * self.beta

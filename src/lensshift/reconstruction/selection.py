@@ -15,9 +15,9 @@ from lensshift.reconstruction.uncertainty import white_noise
 HELD_OUT = 0.1
 # A residual counts up to this many robust deviations.
 CLIP_SIGMAS = 3.0
-# Decades below the weight that is thought to be right, and the share of the frames that a fit may
+# Weights, of the one that is thought to be right, and the share of the frames that a fit may
 # follow: of a larger one too little is left to judge by.
-SOFTEST, MOST_FOLLOWED = 4.0, 0.98
+STEPS, MOST_FOLLOWED = np.logspace(-4, 0, 9), 0.98
 
 
 def prior_share(blur_hr_px: float) -> float:
@@ -29,22 +29,22 @@ def prior_share(blur_hr_px: float) -> float:
     return float(0.45 * max(blur_hr_px, 0.3) ** -1.5)
 
 
-def softer_weight(
+def predicting_weight(
     solve: Callable[[float, Array], Array],
     A: LinearOperator,
     y: Array,
     weight: Array,
-    stiffest: float,
+    start: float,
     noise_sigma: float,
     seed: int = 0,
 ) -> float:
-    """Return a weight of the prior up to `stiffest` at which noise alone is left of the frames.
+    """Return a weight of the prior near `start` at which noise alone is left of the frames.
 
         sum w |y - A x|^2 <= M sigma^2
 
-    (Morozov's discrepancy), looked for in halves of a decade. As the noise may be more than is
-    known, the one of those on the way is taken that predicts the frames best by generalised
-    cross-validation,
+    (Morozov's discrepancy), looked for among softer ones in halves of a decade. As the noise may
+    be more than is known, the one of those on the way is taken that predicts the frames best by
+    generalised cross-validation, and stiffer ones as long as they predict better,
 
         V = (sum w |y - A x|^2 / M) / (1 - gamma / M)^2,   gamma = tr dA x / dy
 
@@ -60,21 +60,28 @@ def softer_weight(
     """
     noise = white_noise(np.random.default_rng(seed), y, weight)
     count = np.count_nonzero(weight) * (2 if y.dtype.kind == "c" else 1)
-    best, least = stiffest, np.inf
-    for value in stiffest * 10.0 ** -np.arange(0.0, SOFTEST + 0.1, 0.5):
+
+    def judged(value: float) -> tuple[float, float]:
         x = solve(value, y)
         left = float(np.sum(weight * np.abs(y - A.forward(x)) ** 2)) / count
-        enough = left <= noise_sigma**2
-        if enough and value == stiffest:
-            break
         size = np.sqrt(max(left, noise_sigma**2))
         moved = A.forward(solve(value, y + size * noise) - x)
         share = float(np.vdot(weight * noise, moved).real) / (size * count)
-        risk = left / (1.0 - np.clip(share, 0.0, MOST_FOLLOWED)) ** 2
+        return left / (1.0 - max(share, 0.0)) ** 2 if share < MOST_FOLLOWED else np.inf, left
+
+    best, least = start, np.inf
+    for value in start * STEPS[::-1]:
+        risk, left = judged(value)
         if risk < least:
             best, least = float(value), risk
-        if enough:
+        if left <= noise_sigma**2:
             break
+    for value in start / STEPS[-2::-1]:
+        risk, _ = judged(value)
+        if risk >= least < np.inf:
+            break
+        if risk < least:
+            best, least = float(value), risk
     return best
 
 
