@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter, shift
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.grid import Grid, hr_to_lr, lr_to_hr
-from lensshift.core.types import Burst, Frame, MtfCurve, Psf, ShiftField, ShiftPlan, StageMap
+from lensshift.core.types import Burst, Frame, MtfCurve, ShiftField, ShiftPlan, StageMap
 from lensshift.core.units import (
     distance_to_phase,
     doubt_about_units,
@@ -120,12 +120,6 @@ def test_one_bad_pixel_must_be_marked() -> None:
     assert make_burst(amplitude=amplitude, valid=np.isfinite(amplitude)).frame_count == 3
 
 
-def test_a_psf_sums_to_one_and_has_a_centre() -> None:
-    assert Psf(np.ones((3, 5)), 0.5).kernel.sum() == pytest.approx(1.0)
-    with pytest.raises(ValueError, match="odd size"):
-        Psf(np.ones((2, 3)), 0.5)
-
-
 def test_other_nouns_refuse_the_wrong_shape() -> None:
     with pytest.raises(ValueError, match="rising"):
         MtfCurve(np.array([1.0, 1.0]), np.ones(2))
@@ -163,14 +157,13 @@ def test_arrays_of_all_core_types_are_read_only() -> None:
         ShiftField(np.zeros((1, 2, 2, 2))).offset_px,
         ShiftPlan(np.zeros((2, 2))).target_px,
         StageMap(np.eye(2)).px_per_mm,
-        Psf(flat, 0.5).kernel,
         MtfCurve(line, line).modulation,
         Calibration(StageMap(np.eye(2)), np.zeros(2)).rest_mm,
     ]
     assert not any(values.flags.writeable for values in arrays)
     line[:] = flat[:] = -1.0
     assert np.all(arrays[0] == 1.0)
-    np.testing.assert_array_equal(arrays[5], np.arange(3.0))
+    np.testing.assert_array_equal(arrays[4], np.arange(3.0))
 
 
 @pytest.mark.parametrize(

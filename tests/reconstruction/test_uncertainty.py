@@ -15,7 +15,7 @@ from pixel_camera import (
 )
 
 from lensshift.reconstruction.reconstruct import reconstruct
-from lensshift.reconstruction.uncertainty import propagated_std
+from lensshift.reconstruction.uncertainty import PropagatedStd
 
 SHAPE, SIGMA = (12, 18), 0.02
 INSIDE = (slice(3, -3), slice(3, -3))
@@ -137,29 +137,59 @@ def test_std_is_computed_once_and_only_when_asked_for() -> None:
 
 def test_std_of_a_linear_filter_has_a_closed_form() -> None:
     y = np.zeros((2, 30, 30))
-    found = propagated_std(lambda v: v.mean(axis=0), y, 0.1, replicates=200, smooth_hr_px=2.0)
+    found = PropagatedStd(
+        lambda v: v.mean(axis=0), y, np.ones(y.shape), 0.1, replicates=200, smooth_hr_px=2.0
+    )()
     np.testing.assert_allclose(found, 0.1 / np.sqrt(2.0), rtol=0.1)
 
 
 def test_std_follows_the_weight_of_the_pixels() -> None:
     weight = np.ones((1, 40, 40))
     weight[:, :, 20:] = 0.25
-    found = propagated_std(
-        lambda v: v[0], np.zeros(weight.shape), 0.1, weight=weight, replicates=300, smooth_hr_px=0.0
-    )
+    found = PropagatedStd(
+        lambda v: v[0], np.zeros(weight.shape), weight, 0.1, replicates=300, smooth_hr_px=0.0
+    )()
     assert found[:, :20].mean() == pytest.approx(0.1, rel=0.03)
     assert found[:, 20:].mean() == pytest.approx(0.2, rel=0.03)
 
 
 def test_std_of_phasors_is_per_component_and_seeded() -> None:
     y = np.zeros((1, 30, 30), complex)
-    found = propagated_std(lambda v: v[0], y, 0.1, replicates=100, seed=1)
+    found = PropagatedStd(lambda v: v[0], y, np.ones(y.shape), 0.1, 1, replicates=100)()
     assert found.mean() == pytest.approx(0.1, rel=0.05)
-    again = propagated_std(lambda v: v[0], y, 0.1, replicates=100, seed=1)
+    again = PropagatedStd(lambda v: v[0], y, np.ones(y.shape), 0.1, 1, replicates=100)()
     np.testing.assert_array_equal(found, again)
 
 
 def test_variance_of_two_replicates_is_unbiased() -> None:
     y = np.zeros((1, 60, 60))
-    found = propagated_std(lambda v: v[0], y, 0.1, replicates=2, smooth_hr_px=0.0)
+    found = PropagatedStd(
+        lambda v: v[0], y, np.ones(y.shape), 0.1, replicates=2, smooth_hr_px=0.0
+    )()
     assert np.mean(found**2) == pytest.approx(0.1**2, rel=0.1)  # its standard error: 2.4 %
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("drizzle", {}),
+        ("drizzle", {"pixfrac": 1.0}),
+        ("deconvolution", {}),
+        ("deconvolution", {"algorithm": "richardson-lucy"}),
+        ("bicubic", {"combine": "median"}),
+        ("shift-and-add", {"combine": "median"}),
+    ],
+)
+def test_std_of_plain_methods_is_the_spread_of_their_pictures(
+    method: str, options: dict[str, object]
+) -> None:
+    rng = np.random.default_rng(3)
+    frames = _clean() + SIGMA * rng.standard_normal((40, 4, *SHAPE))
+    found = [
+        reconstruct(
+            make_burst(one), method=method, psf_sigma_px=0.3, noise_sigma=SIGMA, **options
+        ).amplitude
+        for one in frames
+    ]
+    spread = np.sqrt(np.mean(np.var([one.image for one in found], axis=0, ddof=1)))
+    assert np.sqrt(np.mean(found[0].std ** 2)) == pytest.approx(spread, rel=0.15)

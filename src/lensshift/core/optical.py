@@ -1,4 +1,4 @@
-"""What a lens or a pixel does to contrast: point spread functions and MTF curves."""
+"""What a lens or a pixel does to contrast: MTF curves."""
 
 from __future__ import annotations
 
@@ -14,30 +14,6 @@ from lensshift.core.showing import AsTable, Shown
 def gaussian_width(mtf50: float) -> float:
     """Return the width of the Gaussian that has its MTF50 there: exp(-2 (pi sigma f)^2) = 1/2."""
     return float(np.sqrt(np.log(2.0) / 2.0) / (np.pi * mtf50))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Psf:
-    """A point spread function sampled every `step_px` LR pixels.
-
-    Parameters
-    ----------
-    kernel : [row col], odd in both directions, centred; it is scaled to sum to 1
-    step_px : spacing of the samples in LR pixels
-    """
-
-    kernel: NDArray[np.float64]
-    step_px: float
-
-    def __post_init__(self) -> None:
-        kernel = np.asarray(self.kernel, dtype=np.float64)
-        if kernel.ndim != 2 or kernel.shape[0] % 2 == 0 or kernel.shape[1] % 2 == 0:
-            raise ValueError(f"expected a PSF kernel [row col] of odd size, got {kernel.shape}")
-        if not np.all(np.isfinite(kernel)) or kernel.sum() <= 0:
-            raise ValueError("expected a finite PSF kernel with a positive sum")
-        if not self.step_px > 0:
-            raise ValueError(f"expected a positive step_px, got {self.step_px}")
-        object.__setattr__(self, "kernel", frozen(kernel / kernel.sum()))
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

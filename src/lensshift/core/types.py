@@ -20,7 +20,6 @@ from lensshift.core.motion import ShiftField as ShiftField
 from lensshift.core.motion import ShiftPlan as ShiftPlan
 from lensshift.core.motion import StageMap as StageMap
 from lensshift.core.optical import MtfCurve as MtfCurve
-from lensshift.core.optical import Psf as Psf
 from lensshift.core.point_cloud import PointCloud, make_cloud
 from lensshift.core.showing import AsDataset, AsTable, Shown
 from lensshift.core.units import doubt_about_pitch

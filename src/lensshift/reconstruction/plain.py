@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Literal
 
 import numpy as np
 
+from lensshift.core.arrays import Array
 from lensshift.core.types import Estimate, Status
 from lensshift.reconstruction.baselines.accumulate import drizzle_frames, shift_and_add
 from lensshift.reconstruction.baselines.deconvolve import deconvolution
@@ -15,6 +17,7 @@ from lensshift.reconstruction.baselines.result import Baseline
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.options import one_of, option, positive, whole
 from lensshift.reconstruction.problem import Problem
+from lensshift.reconstruction.uncertainty import PropagatedStd
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,15 +26,20 @@ class _Plain(Method):
     questions_shifts: ClassVar[bool] = False
 
     def __call__(self, problem: Problem, request: Request) -> Estimate:
-        """Return the estimate, with the noise that comes through a linear method."""
+        """Return the estimate, with the noise that comes through the method."""
         found = self._found(problem)
         image = np.maximum(found.image, 0.0) if request.non_negative else found.image
-        sigma, std = problem.noise_sigma, None
-        if request.std and found.noise_gain is not None:
-            if sigma is None:
-                sigma = problem.shown_noise.sigma
-            std = found.noise_gain * sigma
+        gain, sigma, std = found.noise_gain, problem.noise_sigma, None
+        if request.std:
+            sigma = problem.shown_noise.sigma if sigma is None else sigma
+            again = partial(self._image, replace(problem, noise_sigma=sigma))
+            spread = PropagatedStd(again, problem.y, problem.weight, sigma, request.seed)
+            std = spread if gain is None else gain * sigma
         return Estimate(image=image, uncertainty=std, status=Status.DIRECT, noise_sigma=sigma)
+
+    def _image(self, problem: Problem, y: Array) -> Array:
+        """Return the picture of other frames."""
+        return self._found(replace(problem, y=y)).image
 
     def _found(self, problem: Problem) -> Baseline:
         raise NotImplementedError
@@ -121,9 +129,13 @@ class Deconvolution(_Plain):
         k = _frame_of(problem, self.frame)
         return deconvolution(
             problem.y[k], problem.weight[k], problem.offset_px[k], problem.scale,
-            psf_sigma_px=problem.blur_sigma_px, noise_sigma=problem.noise_sigma,
-            method=self.algorithm,
+            problem.blur_sigma_px, problem.told or problem.shown_noise.sigma, self.algorithm,
         )  # fmt: skip
+
+    def _image(self, problem: Problem, y: Array) -> Array:
+        if self.algorithm == "richardson-lucy":
+            y = np.maximum(y, 0.0)
+        return super(Deconvolution, self)._image(problem, y)
 
 
 @dataclass(frozen=True, slots=True)

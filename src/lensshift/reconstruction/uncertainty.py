@@ -9,8 +9,6 @@ import numpy as np
 
 from lensshift.core.arrays import Array, Floats
 
-REPLICATES = 12
-
 
 def white_noise(rng: np.random.Generator, y: Array, weight: Array) -> Array:
     """Return noise for y, of variance 1 / weight in each part of a number (1 at weight 0)."""
@@ -20,17 +18,9 @@ def white_noise(rng: np.random.Generator, y: Array, weight: Array) -> Array:
     return np.asarray(noise / np.sqrt(np.where(weight > 0, weight, 1.0)))
 
 
-def propagated_std(
-    resolve: Callable[[Array], Array],
-    y: Array,
-    noise_sigma: float,
-    *,
-    weight: Array | None = None,
-    replicates: int = REPLICATES,
-    smooth_hr_px: float = 1.0,
-    seed: int = 0,
-) -> Floats:
-    """Return the standard deviation of each HR pixel, from replicates of the noise.
+@dataclass(frozen=True, slots=True, eq=False)
+class PropagatedStd:
+    """The standard deviation of each HR pixel, from replicates of the noise, when it is called.
 
         std^2 = var_j x(y + sigma n_j),   n_j white noise
 
@@ -41,35 +31,13 @@ def propagated_std(
 
     Parameters
     ----------
-    resolve : frames [frame row col] -> HR image [row col]
-    noise_sigma : of one LR pixel (per component if complex)
-    weight : [frame row col] relative inverse variance of the pixels, at most 1
-    smooth_hr_px : width of the smoothing in HR pixels, 0 for none
-    """
-    from scipy.ndimage import gaussian_filter
-
-    rng = np.random.default_rng(seed)
-    weight = np.ones(y.shape) if weight is None else weight
-    answers = [resolve(y + noise_sigma * white_noise(rng, y, weight)) for _ in range(replicates)]
-    variance = np.var(answers, axis=0, ddof=1)
-    if y.dtype.kind == "c":
-        variance /= 2.0
-    if smooth_hr_px > 0:
-        variance = gaussian_filter(variance, smooth_hr_px, mode="nearest")
-    return np.asarray(np.sqrt(variance), np.float64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PropagatedStd:
-    """The standard deviation of an estimate, computed when it is called: plain data until then.
-
-    Parameters
-    ----------
     resolve : frames [frame row col] -> HR image [row col], as the estimate was found
-    y, weight : [frame row col]
+    y, weight : [frame row col], weight the relative inverse variance, at most 1
     noise_sigma : of one LR pixel (per component if complex)
     seed : of the replicates
     unit : what 1 stands for in the result
+    replicates : how many
+    smooth_hr_px : width of the smoothing in HR pixels, 0 for none
     """
 
     resolve: Callable[[Array], Array]
@@ -78,9 +46,16 @@ class PropagatedStd:
     noise_sigma: float
     seed: int = 0
     unit: float = 1.0
+    replicates: int = 12
+    smooth_hr_px: float = 1.0
 
     def __call__(self) -> Floats:
         """Return the standard deviation [row col]."""
-        return self.unit * propagated_std(
-            self.resolve, self.y, self.noise_sigma, weight=self.weight, seed=self.seed
-        )
+        from scipy.ndimage import gaussian_filter
+
+        rng, y = np.random.default_rng(self.seed), self.y
+        noises = (white_noise(rng, y, self.weight) for _ in range(self.replicates))
+        answers = [self.resolve(y + self.noise_sigma * noise) for noise in noises]
+        variance = np.var(answers, axis=0, ddof=1) / (2.0 if y.dtype.kind == "c" else 1.0)
+        smooth = gaussian_filter(variance, self.smooth_hr_px, mode="nearest")
+        return self.unit * np.sqrt(smooth, dtype=np.float64)

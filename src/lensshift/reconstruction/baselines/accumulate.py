@@ -6,7 +6,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.grid import lr_to_hr
@@ -54,12 +53,12 @@ def shift_and_add(
     hit = total > 0
     divisor = np.where(hit, total, 1.0)
     if combine == "median":
-        image, _ = fill_holes(_median_by_pixel(pixel, sample, shape), total, np.zeros(shape))
-        return Baseline(image, None, total)
+        middle = _median_by_pixel(pixel, sample, shape)
+        return Baseline(fill_holes(middle, total, np.zeros(shape))[0])
     mean = _gather(pixel, share * sample, shape) / divisor
     variance = _gather(pixel, share**2, shape) / divisor**2
     image, variance = fill_holes(mean, total, variance)
-    return Baseline(image, np.sqrt(variance), total)
+    return Baseline(image, np.sqrt(variance))
 
 
 def drizzle_frames(
@@ -73,8 +72,7 @@ def drizzle_frames(
     """Drizzle the frames onto the HR grid with STScI's `drizzle`, and fill what stays empty.
 
     Every LR pixel is shrunk to `pixfrac` of its width and shared out to the HR pixels by area.
-    The library computes in single precision. Complex frames are two runs. Neighbouring HR pixels
-    share drops, which `noise_gain` neglects where empty pixels are filled from them.
+    The library computes in single precision. Complex frames are two runs.
 
     Parameters
     ----------
@@ -96,14 +94,10 @@ def drizzle_frames(
     runs = [_drizzle(part, weight, offset_px, scale, pixfrac, kernel) for part in parts]
     hit_weight = runs[0][1]
     image = runs[0][0] + 1j * runs[1][0] if len(runs) == 2 else runs[0][0]
-    total, squares = _drop_weights(weight, offset_px, scale, pixfrac, kernel)
-    hit = (hit_weight > _LEAST_HIT * hit_weight.max()) & (total > _LEAST_HIT * total.max())
-    if not hit.any():
+    hit_weight[hit_weight <= _LEAST_HIT * hit_weight.max()] = 0.0
+    if not hit_weight.any():
         raise ValueError("no valid pixel falls into the image; are the offsets in LR pixels?")
-    hit_weight = np.where(hit, hit_weight, 0.0)
-    variance = squares / np.where(hit, total, 1.0) ** 2
-    image, variance = fill_holes(image, hit_weight, variance)
-    return Baseline(image, np.sqrt(variance), hit_weight)
+    return Baseline(fill_holes(image, hit_weight, np.zeros(hit_weight.shape))[0])
 
 
 def _drizzle(
@@ -121,53 +115,11 @@ def _drizzle(
     for frame, share, (row_px, col_px) in zip(frames, weight, offset_px, strict=True):
         y = lr_to_hr(np.arange(rows) - row_px, scale) + margin
         x = lr_to_hr(np.arange(cols) - col_px, scale) + margin
-        pixmap = np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=-1)
-        job.add_image(
-            frame,
-            exptime=1.0,
-            pixmap=pixmap,
-            weight_map=share,
-            pixfrac=pixfrac,
-            in_units="cps",
-        )
-    inner = (slice(margin, -margin), slice(margin, -margin))
-    image, weights = (
-        np.asarray(result[inner], np.float64) for result in (job.out_img, job.out_wht)
-    )
+        grid = np.stack(np.broadcast_arrays(x[None, :], y[:, None]), axis=-1)
+        job.add_image(frame, 1.0, grid, weight_map=share, pixfrac=pixfrac, in_units="cps")
+    found = np.stack([job.out_img, job.out_wht]).astype(np.float64)
+    image, weights = found[:, margin:-margin, margin:-margin]
     return image, weights
-
-
-def _drop_weights(
-    weight: Floats, offset_px: Floats, scale: int, pixfrac: float, kernel: str
-) -> tuple[Floats, Floats]:
-    """Return the sums over all samples of (share of the drop x weight) and of its square."""
-    rows, cols = weight.shape[1:]
-    shape = (rows * scale, cols * scale)
-    if kernel == "point":
-        pixel, used = _nearest_hr_pixel(offset_px, weight.shape, scale)
-        total = _gather(pixel[used], weight[used], shape)
-        return total, _gather(pixel[used], weight[used] ** 2, shape)
-    total, squares = np.zeros(shape), np.zeros(shape)
-    for share, (row_px, col_px) in zip(weight, offset_px, strict=True):
-        row = _overlap(rows, scale, row_px, pixfrac)
-        col = _overlap(cols, scale, col_px, pixfrac)
-        total += (col @ (row @ share).T).T
-        squares += (col**2 @ (row**2 @ share**2).T).T
-    return total, squares
-
-
-def _overlap(size: int, scale: int, offset_px: float, pixfrac: float) -> sparse.csr_array:
-    """Return the length [HR index, LR index] of each drop inside each HR pixel, in HR pixels."""
-    centre = np.clip(lr_to_hr(np.arange(size) - offset_px, scale), -2 * scale, (size + 1) * scale)
-    low, high = centre - pixfrac * scale / 2, centre + pixfrac * scale / 2
-    first = np.floor(low + 0.5).astype(np.intp)
-    index = first[:, None] + np.arange(int(np.ceil(pixfrac * scale)) + 1)
-    length = np.minimum(high[:, None], index + 0.5) - np.maximum(low[:, None], index - 0.5)
-    keep = (length > 0) & (index >= 0) & (index < size * scale)
-    lr_index = np.broadcast_to(np.arange(size)[:, None], index.shape)
-    return sparse.csr_array(
-        (length[keep], (index[keep], lr_index[keep])), shape=(size * scale, size)
-    )
 
 
 def _nearest_hr_pixel(

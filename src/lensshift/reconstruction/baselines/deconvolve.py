@@ -9,7 +9,6 @@ import numpy as np
 from lensshift.core.arrays import Array, Floats
 from lensshift.reconstruction.baselines.interpolate import cubic_taps, resampled
 from lensshift.reconstruction.baselines.result import Baseline
-from lensshift.reconstruction.noise import robust_scale
 
 Restoration = Literal["wiener", "unsupervised", "richardson-lucy"]
 
@@ -26,8 +25,8 @@ def deconvolution(
     weight: Floats,
     offset_px: Floats,
     scale: int,
-    psf_sigma_px: float = 0.3,
-    noise_sigma: float | None = None,
+    psf_sigma_px: float,
+    noise_sigma: float,
     method: Restoration = "wiener",
 ) -> Baseline:
     """Sharpen one bicubically upscaled, shift-aligned frame.
@@ -44,7 +43,7 @@ def deconvolution(
     frame, weight : [row col]; pixels of weight 0 are filled from their neighbours
     offset_px : (row, col) of this frame
     psf_sigma_px : standard deviation of the PSF
-    noise_sigma : of an LR pixel (or of a component of a phasor); None: `frame_noise`
+    noise_sigma : of an LR pixel (or of a component of a phasor)
 
     Raises
     ------
@@ -56,32 +55,12 @@ def deconvolution(
     if not psf_sigma_px > 0:
         raise ValueError(f"expected a positive psf_sigma_px, got {psf_sigma_px}")
     blurred = resampled(frame, weight, offset_px, scale, cubic_taps).image
-    sigma = frame_noise(frame, weight) if noise_sigma is None else noise_sigma
-    balance = _balance(blurred, offset_px, scale, sigma)
+    balance = _balance(blurred, offset_px, scale, noise_sigma)
     if method == "richardson-lucy" and np.iscomplexobj(blurred):
         raise ValueError("richardson-lucy wants values that are not negative, got complex")
     parts = (blurred.real, blurred.imag) if np.iscomplexobj(blurred) else (blurred,)
     restored = [_restore(part, psf_sigma_px * scale, balance, method) for part in parts]
     return Baseline(restored[0] if len(restored) == 1 else restored[0] + 1j * restored[1])
-
-
-def frame_noise(frame: Array, weight: Floats) -> float:
-    """Estimate the noise of a pixel from the 2 x 2 diagonal differences of one frame.
-
-        sigma = 1.4826 MAD((a - b - c + d) / 2)
-
-    Ramps and straight edges along an axis cancel; texture does not, so it errs upwards. Of
-    complex frames it is the noise of one component. 0 where no 2 x 2 block is valid.
-
-    Source: Immerkaer, Comput. Vis. Image Underst. 64 (1996), for the idea.
-    """
-    used = weight > 0
-    whole = used[:-1, :-1] & used[:-1, 1:] & used[1:, :-1] & used[1:, 1:]
-    if not whole.any():
-        return 0.0
-    corners = (frame[:-1, :-1], frame[:-1, 1:], frame[1:, :-1], frame[1:, 1:])
-    a, b, c, d = (corner[whole] for corner in corners)
-    return robust_scale(0.5 * (a - b - c + d))
 
 
 def gaussian_psf(sigma_hr_px: float) -> Floats:

@@ -105,8 +105,4 @@ def _median(stack: Array, counted: Mask) -> Array:
     """Return the median over axis 0 of the samples that count, of each component."""
     if np.iscomplexobj(stack):
         return _median(stack.real, counted) + 1j * _median(stack.imag, counted)
-    ranked = np.sort(np.where(counted, stack, np.inf), axis=0)
-    count = counted.sum(axis=0)
-    low = np.take_along_axis(ranked, ((count - 1) // 2)[None], axis=0)[0]
-    high = np.take_along_axis(ranked, (count // 2)[None], axis=0)[0]
-    return np.asarray(0.5 * (low + high))
+    return np.asarray(np.nanmedian(np.where(counted, stack, np.nan), axis=0))

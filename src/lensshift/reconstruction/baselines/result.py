@@ -16,10 +16,7 @@ class Baseline:
     image : [row col], real or complex
     noise_gain : [row col] standard deviation of an HR pixel where that of every LR pixel is 1
         and their noises are independent; None where the method is not linear
-    hit_weight : [row col] total weight of the LR samples that fell on an HR pixel; 0 where it
-        was filled from its neighbours; None for methods that interpolate
     """
 
     image: Array
     noise_gain: Floats | None = None
-    hit_weight: Floats | None = None
