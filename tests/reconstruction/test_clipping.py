@@ -73,7 +73,7 @@ def test_noise_is_read_beside_what_is_cut_off_and_nothing_seems_to_contradict(
     assert np.mean(cut != y) > 0.03
     found, said = reconstructed(cut)
     assert 0.7 * SIGMA < found["amplitude"].noise_sigma < 1.5 * SIGMA
-    assert said == []
+    assert [one for one in said if f"noise is cut off at {low:g}" not in one] == []
 
 
 def test_a_frame_that_lies_elsewhere_is_told_of_frames_that_are_cut_off() -> None:
@@ -81,7 +81,7 @@ def test_a_frame_that_lies_elsewhere_is_told_of_frames_that_are_cut_off() -> Non
     away_px[5] += (1.0, -0.75)
     for seed in (3, 4, 8, 103, 115):  # of the last two more than half of the pixels are left out
         _, said = reconstructed(np.clip(seen(seed, away_px), 0.3, 0.7))
-        assert "frame 5 does not fit" in said[0]
+        assert any("frame 5 does not fit" in one for one in said)
 
 
 def test_places_without_light_and_noise_tell_none() -> None:

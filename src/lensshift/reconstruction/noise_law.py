@@ -82,6 +82,14 @@ class NoiseLaw:
         a, b = self.a * factor**2, self.b * factor**2
         return replace(self, sigma=self.sigma * factor, a=a, b=b, ceiling=False)
 
+    def at_least(self, sigma: float) -> NoiseLaw:
+        """Return the law with so much noise wherever it has less."""
+        bright = float(np.max(self.variance(np.array(self.brightest)))) if self.b > 0 else 0.0
+        if sigma**2 >= bright:
+            return constant_noise(max(sigma, self.sigma))
+        darkest = max(self.darkest, (sigma**2 - self.a) / self.b)
+        return replace(self, sigma=max(sigma, self.sigma), darkest=darkest)
+
     def of_other_frames(self, variance: Floats, light: float) -> NoiseLaw:
         """Return the law of frames [frame] that have these variances where the light is this."""
         relative = variance / max(float(self.variance(np.array(light))), 1e-300)

@@ -11,8 +11,6 @@ from lensshift.core.arrays import Array
 # Of more values than this, evenly spread ones are taken: the median of so many Gaussian values is
 # good to 1.253 / sqrt(2^13) = 1.4 % of their standard deviation.
 ENOUGH = 1 << 13
-
-
 # Single precision is exhausted after so many.
 HALVINGS = 24
 

@@ -26,6 +26,7 @@ from lensshift.reconstruction.clipping import (
     without_stuck,
 )
 from lensshift.reconstruction.devices import Device, on_device
+from lensshift.reconstruction.learned.cut_noise import cut_off
 from lensshift.reconstruction.learned.noise import doubt_about_noise
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.methods import make_method
@@ -209,7 +210,9 @@ def _estimates(
         )  # fmt: skip
         if not (request.streamed or found):
             doubt = doubt_about_noise(problem) if chosen.name == "auto" else None
-            for said in filter(None, (overexposed(values, problem.clipped), doubt)):
+            for said in filter(
+                None, (overexposed(values, problem.clipped), cut_off(problem), doubt)
+            ):
                 warnings.warn(said, QualityWarning, stacklevel=3)
         if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
             problem = problem.with_brightness(part.amplitude)

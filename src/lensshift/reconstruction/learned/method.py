@@ -12,6 +12,7 @@ from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.types import Estimate, Status
 from lensshift.reconstruction.learned.behind_spots import wider_behind_spots
 from lensshift.reconstruction.learned.belief import as_predicted, refuted
+from lensshift.reconstruction.learned.cut_noise import before_the_cut
 from lensshift.reconstruction.learned.finer import finer_grid, of_larger_pixels, seen_finer
 from lensshift.reconstruction.learned.harmonics import as_bars
 from lensshift.reconstruction.learned.noise import noise_map, rounded_std, tells_little
@@ -21,6 +22,7 @@ from lensshift.reconstruction.learned.solver import Asked, Solution, solve_toget
 from lensshift.reconstruction.learned.unseen import with_gaps
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import Misfit, find_misfit
+from lensshift.reconstruction.noise_law import NoiseLaw
 from lensshift.reconstruction.problem import Problem, blur_width_px
 from lensshift.reconstruction.sharpness import as_sharp_as_most, moments_px2, told
 
@@ -41,6 +43,15 @@ SHARPENINGS = 2
 
 def auto(problem: Problem, request: Request) -> Estimate:
     """Exact data steps and a learned prior; the noise decides what is believed of both."""
+    too_dark: Floats | float = 0.0
+
+    def brighter(problem: Problem, law: NoiseLaw) -> Array:
+        noise = noise_map(problem, law.scaled(problem.intensity, problem.level))[2]
+        return solved(problem, noise, replace(request, on_iteration=None))[0].image
+
+    if not request.streamed and (cut := before_the_cut(problem, brighter)) is not None:
+        problem, law, too_dark = cut
+        request = replace(request, law=law.scaled(problem.intensity, problem.level))
     law, least, noise = noise_map(problem, request.law)
     if law.ceiling:
         asked = _asked(problem, with_shift_errors(noise, problem))
@@ -53,7 +64,7 @@ def auto(problem: Problem, request: Request) -> Estimate:
     std = as_bars(found.image, std, blur_width_px(problem.model.blur), problem.scale)
     if std.ndim == 3:  # of a complex picture, that of a component
         std = np.sqrt(np.mean(std**2, axis=0))
-    std = np.hypot(std, rounded_std(problem, law))
+    std = np.hypot(np.hypot(std, too_dark), rounded_std(problem, law))
     image = found.image
     if request.non_negative and image.dtype.kind == "f":
         image = np.maximum(image, 0)

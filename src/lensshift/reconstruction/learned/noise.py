@@ -34,7 +34,7 @@ def noise_of(problem: Problem, known: NoiseLaw | None = None) -> NoiseLaw:
     `known` is what they said before, in units of the burst.
     """
     if known is None:
-        return _estimated_noise(problem)
+        return estimated_noise(problem)
     return known.scaled(1 / problem.intensity, -problem.level / problem.intensity)
 
 
@@ -44,7 +44,7 @@ def noise_map(problem: Problem, known: NoiseLaw | None = None) -> tuple[NoiseLaw
     Infinite where a pixel must not be used.
     """
     law, used = noise_of(problem, known), problem.weight > 0
-    rounding = _step(problem) / math.sqrt(12)
+    rounding = light_step(problem) / math.sqrt(12)
     least = max(LEAST_SHARE * float(np.std(problem.y[used])), LEAST_SIGMA, rounding)
     variance = np.maximum(law.variance(light_of(problem.y, used)), least**2)
     variance = variance / np.where(used, problem.weight, 1.0)
@@ -55,7 +55,7 @@ def doubt_about_noise(problem: Problem) -> str | None:
     """Say that the frames show another noise than was told, if they surely do."""
     if problem.noise_sigma is None or not problem.even_noise:
         return None
-    law = _estimated_noise(replace(problem, noise_sigma=None))
+    law = estimated_noise(replace(problem, noise_sigma=None))
     ratio = problem.noise_sigma / max(law.sigma, LEAST_SIGMA)
     if 1 / UNLIKE < ratio < UNLIKE or (ratio < 1.0 and law.ceiling):
         return None
@@ -68,7 +68,7 @@ def doubt_about_noise(problem: Problem) -> str | None:
 
 def rounded_std(problem: Problem, law: NoiseLaw) -> float:
     """Return the error that all pixels of a surface share since their numbers are on levels."""
-    return float(shared_rounding(_step(problem), np.array(law.sigma)))
+    return float(shared_rounding(light_step(problem), np.array(law.sigma)))
 
 
 def tells_little(problem: Problem) -> bool:
@@ -77,7 +77,7 @@ def tells_little(problem: Problem) -> bool:
     return light and within_rounding(_as_sent(problem), problem.weight > 0)
 
 
-def _step(problem: Problem) -> float:
+def light_step(problem: Problem) -> float:
     """Return the distance between the levels that light is on, 0 if it is on none."""
     if problem.y.dtype.kind == "c":
         return 0.0
@@ -90,7 +90,8 @@ def _as_sent(problem: Problem) -> Array:
     return np.asarray(seen * problem.intensity + problem.level)
 
 
-def _estimated_noise(problem: Problem) -> NoiseLaw:
+def estimated_noise(problem: Problem) -> NoiseLaw:
+    """Return the noise of an LR pixel as told, else as the frames say."""
     told = problem.noise_sigma if problem.noise_sigma is not None else problem.told_sigma
     if told is not None:
         return constant_noise(told)
