@@ -52,7 +52,7 @@ def test_the_dark_is_as_dark_as_it_is_behind_noise_that_was_cut_off(
 def test_zeros_that_cut_no_noise_off_are_what_they_are(kind: str, seed: int) -> None:
     frames, offset_px, rng = _frames(4, seed)
     if kind == "photons":
-        y = rng.poisson(0.5 + 5.0 * frames).astype(float)
+        y = rng.poisson(0.7 + 12.0 * frames).astype(float)
     else:
         y = 100 + 300 * frames + 20 * rng.standard_normal(frames.shape)
         y = np.where(frames > 0, y, 0.0) if kind == "masked" else np.maximum(y, 0.0)

@@ -18,11 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lensshift.core.arrays import Array, Floats
-from lensshift.forward.differences import (
-    Directions,
-    differences,
-    half_plane,
-)
+from lensshift.forward.differences import Directions, differences, half_plane
 from lensshift.reconstruction.options import check_settings, option, positive, whole
 from lensshift.reconstruction.quantiles import median_3x3, weighted_mad
 
@@ -175,8 +171,8 @@ class BilateralTotalVariation(Prior):
         return replace(self, beta=beta.astype(x.real.dtype, copy=False))
 
     def _share(self, x: Array) -> Array:
-        steps = np.abs(self.directions).sum(axis=1)
-        return np.asarray(self.alpha**steps, x.real.dtype)[:, None, None]
+        share = self.alpha ** np.abs(self.directions).sum(axis=1)[:, None, None]
+        return np.asarray(share, x.real.dtype)
 
     def _weight(self, x: Array) -> Array:
         return self._share(x) if self.beta is None else self._share(x) * self.beta

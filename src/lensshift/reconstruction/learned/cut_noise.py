@@ -83,7 +83,9 @@ def _cut_off(problem: Problem) -> tuple[Mask, Mask]:
     at_end &= y == y[used].min()
     share = _around(at_end.mean(axis=0)) / np.maximum(_around(used.mean(axis=0)), 1e-3)
     cut = (share > CUT_SHARE) & (share < 1.0 - CUT_SHARE)
-    varies = float(np.std(y[:, cut][used[:, cut]])) if cut.any() else 0.0
+    above = np.where(used, y - y[used].min(), 0.0)
+    local = _around(np.mean(above**2, axis=0)) - _around(above.mean(axis=0)) ** 2
+    varies = math.sqrt(np.median(local[cut])) if cut.any() else 0.0
     many = max(TELLING_SHARE * np.count_nonzero(used), np.count_nonzero(at_end) / 2)
     sure = np.count_nonzero(at_end[:, cut]) > many and light_step(problem) < COARSE * varies
     return at_end, cut & np.bool_(sure)
