@@ -196,8 +196,8 @@ def _estimates(
 ) -> tuple[dict[str, Estimate], Array | None]:
     """Reconstruct both channels from phasors, with what flies, or each on its own."""
     if channel == "phasor":
-        light = part.amplitude, part.valid
-        if not request.streamed and (differ := unequal_brightness(*light)):
+        differ = "" if request.streamed else unequal_brightness(part.amplitude, part.valid)
+        if differ:
             warnings.warn(differ, QualityWarning, stacklevel=3)
         both = reconstruct_phasor(burst, chosen.name, request, seen)
         return {"amplitude": both.amplitude, "distance": both.distance_m}, both.flying
@@ -209,10 +209,9 @@ def _estimates(
             intensity=chosen.intensity, **seen,
         )  # fmt: skip
         if not (request.streamed or found):
-            doubt = doubt_about_noise(problem) if chosen.name == "auto" else None
-            for said in filter(
-                None, (overexposed(values, problem.clipped), cut_off(problem), doubt)
-            ):
+            doubts = [overexposed(values, problem.clipped), cut_off(problem)]
+            doubts += [doubt_about_noise(problem)] if chosen.name == "auto" else []
+            for said in filter(None, doubts):
                 warnings.warn(said, QualityWarning, stacklevel=3)
         if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
             problem = problem.with_brightness(part.amplitude)
@@ -221,8 +220,7 @@ def _estimates(
         if key == "amplitude":
             bright = replace(own, photometric=True, law=None)
             again = partial(_solve, burst, problem, chosen, bright, seen["shift_field"])
-            light = values, part.valid
-            found[key] = in_one_light(found[key], *light, request, again, stacklevel=3)
+            found[key] = in_one_light(found[key], values, part.valid, request, again, stacklevel=3)
     return found, None
 
 
