@@ -194,7 +194,7 @@ def _doubt(
     if np.abs(apart_px).max() < min(AGREED_PX, AGREED_SHARE * span_px or AGREED_PX):
         return None
     readings, square_px2 = _readings(given, found, scale), float(np.sum(apart_px**2))
-    readings = _near_the_best(readings, trials) if final else readings
+    count, readings = len(readings), _near_the_best(readings, trials) if final else readings
     sure_px2 = LEAST_T**2 * found_variance_px2(smooth, found)
     first = (found, given / scale, given * scale)
     alike = not final and all(least_sure(trials, one, 1)[0] < SUSPICIOUS for one in first)
@@ -203,7 +203,7 @@ def _doubt(
     for mistake, other in readings:
         # What the frames tell holds the errors of the shifts too, and predicts a little better.
         left = float(np.sum((other - found) ** 2)) / square_px2
-        chance = 1.0 if mistake in FROM_FRAMES else len(readings) * left ** (len(given) - 1)
+        chance = 1.0 if mistake in FROM_FRAMES else count * left ** (len(given) - 1)
         told = chance <= CHANCE and (1.0 - left) * square_px2 >= sure_px2
         if alike and not told:
             continue
