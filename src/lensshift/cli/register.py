@@ -26,7 +26,7 @@ class _RegisterOptions:
         "auto", "What the shifts are found from; auto: phasors where the burst tells them."
     )
     reference: int = option(0, "Frame whose offset is kept.", min=0)
-    photometric: bool = option(True, "Frames may differ by a factor and a constant.")
+    photometric: bool = option(False, "Allow frames to differ by a factor and a constant.")
     use_given: bool = option(False, "Weigh the burst's own offsets by their errors.")
     frames: methods.FramesOption = None
     stack: inputs.StackOptions = field(default_factory=inputs.StackOptions)
@@ -40,7 +40,7 @@ def register(current: Session, asked: _RegisterOptions) -> None:
     Examples:
       lensshift register burst.nc -o registered.nc
       lensshift register frames.tif --pitch-mm 0.015
-      lensshift register frames/ --offsets planned.csv --pitch-mm 0.015
+      lensshift register frames/ --offsets planned.csv --pitch-mm 0.015 --photometric
       lensshift register handheld.tif --pitch-mm 0.015 --motion affine
     """
     from lensshift.io import save_burst

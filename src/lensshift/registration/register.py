@@ -42,7 +42,7 @@ def register(
     reference: int = 0,
     channel: Channel = "auto",
     motion: Motion = "auto",
-    photometric: bool = True,
+    photometric: bool = False,
     use_given: bool = False,
     frames: Sequence[int] | None = None,
 ) -> Burst:
@@ -66,8 +66,7 @@ def register(
     motion : "affine": frames also turn, grow and shear against the reference, which `reconstruct`
         then allows for (method "auto", four frames and more); "auto": if they show that they do;
         "shift": never
-    photometric : whether frames may differ by a factor and an additive constant; shifts are as
-        exact where they do not
+    photometric : whether frames may differ by a factor and an additive constant
     use_given : whether the burst's own offsets count as measurements with `offset_sigma_px`
         (method "auto" only)
     frames : numbers of the frames whose shifts are found, by default all; the others are left out
