@@ -66,10 +66,25 @@ def test_blur_that_varies(report: list[str], shape: tuple[int, int]) -> None:
     )
     x = np.random.default_rng(0).random(models[0].hr_shape).astype(np.float32)
     operators = [model.operator for model in models]
-    one_s, shifts_s, spots_s = (fastest_s(lambda A=A: A.T(A(x))) for A in operators)
+    one_s, shifts_s, spots_s = (fastest_s(lambda A=A: A.adjoint(A(x))) for A in operators)
     report.append(
         f"blur over {shape[1]} x {shape[0]} pixels: {spots_s / one_s:.2f} times one blur and "
         f"shift, {spots_s / shifts_s:.2f} times one blur with the same shifts"
+    )
+
+
+def test_blur_that_leans(report: list[str]) -> None:
+    field = lens_field(load_lens("al2550"), Grid((48, 64), SENSOR.pitch_mm), 0)
+    shown = replace(field, grid=Grid((120, 160), SENSOR.pitch_mm)).at(field.states(SQUARE_PX))
+    known = {"shift_field_px": shown.offset_px, "skew_px3": shown.skew_px3}
+    leaning, upright = (
+        forward_model((120, 160), 2, **known, spot_px2=spot_px2).operator
+        for spot_px2 in (shown.spot_px2, shown.spot_px2[..., :2])
+    )
+    x = np.random.default_rng(0).random((240, 320)).astype(np.float32)
+    leaning_s, upright_s = (fastest_s(lambda A=A: A.adjoint(A(x))) for A in (leaning, upright))
+    report.append(
+        f"blur that leans behind a singlet {leaning_s / upright_s:.2f} times upright blur"
     )
 
 

@@ -27,10 +27,12 @@ def test_comes_back_exactly(tmp_path: Path) -> None:
     found = load_lens_field(tmp_path / "field.nc")
     for name in LensField.__dataclass_fields__:
         np.testing.assert_equal(getattr(found, name), getattr(field, name))
-    sensor = LensField(field.grid, field.shift_px, field.spot_px2, (1.0, 1.0), "sensor", None)
+    leaning = np.concatenate([field.spot_px2, 0.1 * field.spot_px2[..., :1]], axis=-1)
+    sensor = LensField(field.grid, field.shift_px, leaning, (1.0, 1.0), "sensor", None)
     save_lens_field(sensor, tmp_path / "sensor.nc")
     loaded = load_lens_field(tmp_path / "sensor.nc")
     assert loaded.element is None
+    np.testing.assert_array_equal(loaded.spot_px2, leaning)
     assert loaded.skew_px3 is None  # as in files of before
 
 

@@ -107,6 +107,7 @@ BURST = Burst.from_arrays(
 STRETCH = np.broadcast_to(np.linspace(0.9, 1.1, 9), (6, 9))
 FIELD = ShiftField(BURST.offset_px[:, None, None] * STRETCH[..., None])
 SPOTS = replace(FIELD, spot_px2=0.1 * np.random.default_rng(7).random((5, 6, 9, 2)))
+LEANING = replace(FIELD, spot_px2=0.1 * np.random.default_rng(9).random((5, 6, 9, 3)))
 COMA = replace(SPOTS, skew_px3=0.02 * np.random.default_rng(8).normal(size=(5, 6, 9, 2)))
 
 
@@ -130,6 +131,7 @@ def reduced_and_back(result: Reconstruction, folder: Path) -> list[Reconstructio
         {"channel": "amplitude", "method": "bicubic", "shift_field": FIELD},
         {"channel": "amplitude", "method": "tikhonov", "shift_field": SPOTS},
         {"channel": "phasor", "method": "tikhonov", "shift_field": COMA},
+        {"channel": "phasor", "method": "tikhonov", "shift_field": LEANING},
     ],
 )
 def test_a_result_travels_and_predicts_afterwards(tmp_path: Path, options: dict[str, Any]) -> None:

@@ -102,19 +102,47 @@ def test_coma_turns_the_phase_as_the_trace_says() -> None:
         assert np.abs(fitted - traced).max() < max(0.01, 0.3 * np.abs(even - traced).max())
 
 
-def test_a_spot_that_leans_in_a_corner_is_told() -> None:
-    """Blur towards the middle of a square sensor is taken for blur in all directions there."""
+@pytest.mark.parametrize(
+    ("name", "half", "pitch_mm"), [("al2550", 12, 0.3), ("petzval_b", 30, 0.1)]
+)
+def test_a_spot_that_leans_in_a_corner_is_that_of_an_edge_turned(
+    name: str, half: int, pitch_mm: float
+) -> None:
+    """A lens is round: blur towards the middle and across it depend on how far away that is."""
+    lens, grid = load_lens(name), Grid((2 * half + 1, 2 * half + 1), (pitch_mm, pitch_mm))
+    spot_px2 = lens_field(lens, grid, None).at([[0.0, 0.0]]).spot_px2
+    assert spot_px2 is not None
+    towards_px2, across_px2 = spot_px2[0, half, half:, 1], spot_px2[0, half, half:, 0]
+    leans = []
+    for row, col in ((half // 2, half // 2), (half // 2, -half // 2), (0.7 * half, 0.7 * half)):
+        at = np.rint([row, col]).astype(int)
+        away = np.hypot(*at)
+        towards, across = (
+            np.interp(away, np.arange(half + 1), one) for one in (towards_px2, across_px2)
+        )
+        leans.append(at.prod() / away**2 * (towards - across))
+        found = spot_px2[0, half + at[0], half + at[1], 2]
+        np.testing.assert_allclose(found, leans[-1], atol=0.1 * abs(towards - across) + 1e-4)
+    assert np.abs(leans).max() > 1e-3
+    np.testing.assert_allclose(spot_px2[0, half, :, 2], 0.0, atol=1e-4)
+    np.testing.assert_allclose(spot_px2[0, ::-1, :, 2], -spot_px2[0, ..., 2], atol=1e-4)
+
+
+def test_what_the_moments_of_a_corner_leave_out_is_told() -> None:
     lens, grid = load_lens("al2550"), Grid((24, 24), (0.4, 0.4))
     field = lens_field(lens, grid, None)
     spot_px2 = field.at([[0.0, 0.0]]).spot_px2
     assert spot_px2 is not None
     corner = fields_for_image(lens, np.full((1, 2), 11.5 * 0.4))[0]
-    cpp, aslant_rad = np.array([0.25, 0.5]), np.array([0.25, 0.75]) * np.pi
-    towards, across = np.abs(fast_otf(lens, corner, cpp / 0.4, aslant_rad))
-    model = np.exp(-2.0 * (np.pi * cpp) ** 2 * spot_px2[0, 23, 23].mean())
-    assert np.all((towards < model) & (model < across))
-    off = np.sinc(cpp / 2**0.5) ** 2 * np.maximum(model - towards, across - model)
-    assert 0.1 < off.max() < 1.2 * field.contrast_error
+    cpp, aslant_rad = np.arange(1, 8) / 8, np.array([0.25, 0.75]) * np.pi
+    traced = np.abs(fast_otf(lens, corner, cpp / 0.4, aslant_rad))
+    v_row, v_col, lean = spot_px2[0, 23, 23]
+    model = [
+        np.exp(-2.0 * (np.pi * cpp) ** 2 * (0.5 * (v_row + v_col) + sign * lean))
+        for sign in (1, -1)
+    ]
+    off = np.sinc(cpp / 2**0.5) ** 2 * np.abs(traced - model)
+    assert 0.03 < off.max() < 1.2 * field.contrast_error
 
 
 @pytest.mark.parametrize("skew_px3", [-0.1, 0.0, 0.02, 0.2])

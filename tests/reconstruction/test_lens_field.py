@@ -23,17 +23,20 @@ SHAPE, SCALE, NOISE = (18, 41), 2, 0.003
 SQUARE = np.array([[-0.25, -0.25], [-0.25, 0.25], [0.25, 0.25], [0.25, -0.25]])
 
 
-def curved_field(growth_px2: float = 0.16, skew_px3: float = 0.0) -> LensField:
+def curved_field(
+    growth_px2: float = 0.16, skew_px3: float = 0.0, lean_px2: float = 0.0
+) -> LensField:
     """Return a sharp middle of the sensor and spots of up to 0.4 px at its ends, moved evenly.
 
-    With coma there, opposite on both sides and none in the middle.
+    With coma there, opposite on both sides and none in the middle; and leaning one way.
     """
     shift = np.zeros((3, 3, 2, 2, 2))
     shift[0, 0, 1, 0, 0] = shift[0, 0, 0, 1, 1] = 1.0  # a pixel at the end of the reach
     shift[0, 2, 1, 0, 0] = 0.02
-    spot = np.zeros((3, 3, 1, 1, 2))
-    # 0.005 + growth u^2
-    spot[0, 0, 0, 0], spot[0, 2, 0, 0] = 0.005 + 0.5 * growth_px2, 0.5 * growth_px2
+    spot = np.zeros((3, 3, 1, 1, 3))
+    # 0.005 + growth u^2, and a covariance of lean u^2
+    spot[0, 0, 0, 0, :2], spot[0, 2, 0, 0, :2] = 0.005 + 0.5 * growth_px2, 0.5 * growth_px2
+    spot[0, 0, 0, 0, 2] = spot[0, 2, 0, 0, 2] = 0.5 * lean_px2
     skew = np.zeros((1, 4, 1, 1, 2))
     skew[0, [1, 3], 0, 0, 1] = 0.75 * skew_px3, 0.25 * skew_px3  # skew u^3
     return LensField(Grid(SHAPE, (0.1, 0.1)), shift, spot, (0.2, 0.2), lens="curved", skew_px3=skew)
@@ -94,7 +97,7 @@ def test_shifts_beyond_a_field_are_refused_with_the_reach_that_holds_them(
 @pytest.mark.parametrize("name", ["shift_px", "spot_px2"])
 @pytest.mark.parametrize(
     "values",
-    [np.ones((3, 3, 2, 2)), np.ones((3, 3, 2, 2, 3)), np.ones((3, 0, 2, 2, 2)),
+    [np.ones((3, 3, 2, 2)), np.ones((3, 3, 2, 2, 4)), np.ones((3, 0, 2, 2, 2)),
      np.full((1, 2, 1, 3, 2), np.nan)],
     ids=lambda values: str(values.shape),
 )  # fmt: skip
@@ -118,9 +121,8 @@ def seen(
     total = np.full(np.broadcast(row, col).shape, 2.0)
     for f_row, f_col, phase, size in scene:
         passed = np.sinc(side_px * f_row) * np.sinc(side_px * f_col)
-        passed = passed * np.exp(
-            -2 * np.pi**2 * (spot_px2[..., 0] * f_row**2 + spot_px2[..., 1] * f_col**2)
-        )
+        moments = np.array([f_row**2, f_col**2, 2.0 * f_row * f_col])
+        passed = passed * np.exp(-2 * np.pi**2 * (spot_px2 @ moments))
         turned = (2 * np.pi) ** 3 / 6 * (skew_px3 @ np.array([f_row, f_col]) ** 3)
         at = 2 * np.pi * (f_row * row + f_col * col) + phase
         total += 0.05 * size * passed * np.cos(at + turned)
@@ -140,7 +142,8 @@ def world(
     ])  # fmt: skip
     frames += NOISE * np.random.default_rng(seed + 100).standard_normal(frames.shape)
     hr = [(np.arange(n * SCALE) + 0.5) / SCALE - 0.5 for n in SHAPE]
-    truth = seen(scene, hr[0][:, None], hr[1][None], 1 / SCALE, *np.zeros((2, 1, 2)))
+    sharp = np.zeros((1, 3)), np.zeros((1, 2))
+    truth = seen(scene, hr[0][:, None], hr[1][None], 1 / SCALE, *sharp)
     burst = Burst.from_arrays(frames, offset_px=offset_px, pitch_mm=0.1)
     return burst, truth
 
@@ -199,6 +202,24 @@ def test_a_sharp_lens_loses_nothing(pattern: str) -> None:
         assert left < 1.03 * loss
 
 
+@pytest.mark.parametrize("lean_px2", [0.14, -0.14])
+@pytest.mark.parametrize("method", ["auto", "tikhonov"])
+def test_spots_that_lean_are_undone_along_where_they_lean(method: str, lean_px2: float) -> None:
+    """And not as much across it, as a field without their covariance tells it to."""
+    field = curved_field(lean_px2=lean_px2)
+    upright = replace(field, spot_px2=field.spot_px2[..., :2])
+    for seed in (5, 6):
+        burst, truth = world(seed, 0.45, SQUARE, field)
+        left, loss = (
+            rms_at_the_ends(
+                reconstruct(burst, SCALE, method, lens_field=one, std=False).amplitude.image,  # type: ignore[union-attr]
+                truth,
+            )
+            for one in (field, upright)
+        )
+        assert left < 0.75 * loss
+
+
 def _shifts(field: LensField, burst: Burst) -> Any:
     return replace(field.of(burst), spot_px2=None)
 
@@ -237,12 +258,17 @@ def test_shifts_of_two_kinds_are_too_much() -> None:
         reconstruct(other, lens_field=field)
 
 
-@pytest.mark.parametrize("skew", [False, True])
-def test_a_frame_is_predicted_with_its_own_spot_and_an_offset_with_that_of_all(skew: bool) -> None:
+@pytest.mark.parametrize(("skew", "moments"), [(False, 2), (True, 2), (False, 3)])
+def test_a_frame_is_predicted_with_its_own_spot_and_an_offset_with_that_of_all(
+    skew: bool, moments: int
+) -> None:
     rng, shape = np.random.default_rng(4), (6, 9)
     burst = Burst.from_arrays(rng.random((3, *shape)), offset_px=SQUARE[:3], pitch_mm=0.1)
     field_px = np.broadcast_to(SQUARE[:3, None, None], (3, *shape, 2))
-    spots = [rng.uniform(0.0, 0.1, field_px.shape), rng.uniform(-0.1, 0.1, field_px.shape)]
+    spots = [
+        rng.uniform(0.0, 0.1, (*field_px.shape[:3], moments)),
+        rng.uniform(-0.1, 0.1, field_px.shape),
+    ]
     field = ShiftField(field_px, spot_px2=spots[0], skew_px3=spots[1] if skew else None)
     image = rng.random((12, 18))
 

@@ -127,7 +127,8 @@ def _say(
     say_field(current, found)
     state = found.states(wanted_px)
     shown = found.at(state)
-    spot_px = np.sqrt(np.asarray(shown.spot_px2))
+    spot_px2 = np.asarray(shown.spot_px2)
+    spot_px = np.sqrt(spot_px2[..., :2])
     even = shift_uniformity(shown, wanted_px)
     unit = "um" if found.unit == "mm" else "mrad"
     for number, (wish, moved, one) in enumerate(zip(wanted_px, 1e3 * state, even, strict=True)):
@@ -146,5 +147,7 @@ def _say(
     for name, values in (("offset", shown.offset_px), ("spot", spot_px)):
         columns |= {f"{name}_row_px": values[..., 0].ravel()}
         columns |= {f"{name}_col_px": values[..., 1].ravel()}
+    if spot_px2.shape[-1] == 3:
+        columns["spot_covariance_px2"] = spot_px2[..., 2].ravel()
     outputs.write_table(current, csv, columns)
     outputs.write_plot(current, plot, "lens_maps.shift_map_figure", shown, found.grid, wanted_px)

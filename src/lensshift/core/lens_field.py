@@ -43,7 +43,8 @@ class LensField:
     ----------
     grid : of the sensor, centred on the axis
     shift_px : [i j a b 2] coefficients of the image offset (row, col), as `Burst.offset_px`
-    spot_px2 : [i j a b 2] of the variance (row, col) of the Gaussian that stands for the spot
+    spot_px2 : [i j a b 3] of the variance (row, col) and the covariance of the Gaussian that stands
+        for the spot; with 2 in place of 3 no spot leans
     reach : (row, col) largest state, in mm or (tilt) rad
     motion : what the state is: decentre or tilt of an element, or the place of the sensor
     element : its number from 0, or None
@@ -51,7 +52,7 @@ class LensField:
     shift_error_px : largest difference to the traced shift where it was not fitted
     spot_error_px : largest difference of a width (standard deviation) in the same way
     contrast_error : largest difference of the contrast behind lens and pixel, phase included, that
-        a Gaussian of that variance and third moment makes up to the pixel frequency, along the axes
+        a spot of these moments makes up to the pixel frequency, along the axes
         and the diagonals
     notes : text and numbers: wavelength, temperature
     skew_px3 : [i j a b 2] of the third central moment (row, col) of the spot; none: it is even
@@ -75,7 +76,8 @@ class LensField:
             if name == "skew_px3" and self.skew_px3 is None:
                 continue
             values = np.asarray(getattr(self, name), dtype=np.float64)
-            if values.ndim != 5 or values.shape[-1] != 2 or not values.size:
+            parts = (2, 3) if name == "spot_px2" else (2,)
+            if values.ndim != 5 or values.shape[-1] not in parts or not values.size:
                 raise DataError(f"expected [i j a b 2], got shape {values.shape}", field=name)
             if not np.all(np.isfinite(values)):
                 raise DataError("expected finite coefficients", field=name)
@@ -103,7 +105,8 @@ class LensField:
     def middle_px2(self) -> float:
         """Variance of the spot in the middle of the sensor at rest, the mean of both axes."""
         middle = np.zeros(1)
-        return float(_evaluated(self.spot_px2, [middle, middle], np.zeros((1, 2))).mean())
+        spot_px2 = _evaluated(self.spot_px2, [middle, middle], np.zeros((1, 2)))
+        return float(spot_px2[..., :2].mean())
 
     def at(self, state: ArrayLike) -> ShiftField:
         """Return shift and spot of every pixel for states [frame 2] in mm or rad.
@@ -200,7 +203,8 @@ class LensField:
         u = self._places()
         offset_px, spot_px2 = (_evaluated(c, u, s) for c in (self.shift_px, self.spot_px2))
         skew_px3 = None if self.skew_px3 is None else _evaluated(self.skew_px3, u, s)
-        return ShiftField(offset_px, self.grid.pitch_mm, np.maximum(spot_px2, 0.0), skew_px3)
+        spot_px2[..., :2] = np.maximum(spot_px2[..., :2], 0.0)
+        return ShiftField(offset_px, self.grid.pitch_mm, spot_px2, skew_px3)
 
     def _states_of(self, offset_px: ArrayLike) -> Floats:
         """Return scaled states by Newton's method on the polynomial in the middle."""
@@ -298,7 +302,7 @@ class LensField:
 
 
 def _evaluated(coefficients: Floats, u: Sequence[Array], s: Floats) -> Floats:
-    """Return [frame row col 2] at places u (row, col) and states s [frame 2]."""
+    """Return [frame row col quantity] at places u (row, col) and states s [frame 2]."""
     rows, cols, first, second = coefficients.shape[:4]
     t_a, t_b = chebvander(s[:, 0], first - 1), chebvander(s[:, 1], second - 1)
     over_field = np.einsum("ijabq,fa,fb->fqij", coefficients, t_a, t_b, optimize=True)

@@ -26,8 +26,9 @@ class ShiftField:
     ----------
     offset_px : [frame row col 2] (row, col), with the sign of `Burst.offset_px`
     pitch_mm : (row, col) of the pixels it was made for, or None
-    spot_px2 : [frame row col 2] variance (row, col) of the spot that the lens makes of a point,
-        beyond what the response holds that `reconstruct` is told; None if it does not vary
+    spot_px2 : [frame row col 3] variance (row, col) and covariance of the spot that the lens makes
+        of a point, beyond what the response holds that `reconstruct` is told; None if it does not
+        vary. With 2 in place of 3 no spot leans
     skew_px3 : [frame row col 2] third central moment (row, col) of that spot, as of coma; None
         for spots that are even, or that do not vary
     """
@@ -46,11 +47,12 @@ class ShiftField:
         object.__setattr__(self, "offset_px", frozen(offset))
         if self.spot_px2 is None:
             object.__setattr__(self, "skew_px3", None)
-        for name in ("spot_px2", "skew_px3"):
+        for name, parts in (("spot_px2", (2, 3)), ("skew_px3", (2,))):
             if getattr(self, name) is None:
                 continue
             spot = np.asarray(getattr(self, name), dtype=np.float64)
-            if spot.shape != offset.shape or not np.all(np.isfinite(spot)):
+            shaped = spot.shape in [(*offset.shape[:3], count) for count in parts]
+            if not shaped or not np.all(np.isfinite(spot)):
                 raise ValueError(f"expected finite {name} {offset.shape}, got {spot.shape}")
             object.__setattr__(self, name, frozen(spot))
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.grid import hr_to_lr
-from lensshift.forward import sampling
+from lensshift.forward import lean, sampling
 from lensshift.forward.blur import Blur, GaussianBlur, Starts, Weights, sees_image, varying_taps
-from lensshift.forward.operator import LinearOperator, by_parts
+from lensshift.forward.operator import LinearOperator, by_parts, chained
 from lensshift.forward.smooth_field import adjoint_smooth, forward_smooth, smooth_field
 from lensshift.forward.warp import Positions, field_positions, frame_positions
 
@@ -48,11 +48,12 @@ class ForwardModel:
     gain: Floats
     bias: Floats
     inside: Mask  # [frame row col] False where the centre of an LR pixel lies outside the HR image
-    # [frame row col 2] variance (row, col) of the optical spot beyond that of `blur`, or None if
-    # all pixels have the same response
+    # [frame row col 3] variance (row, col) and covariance of the optical spot beyond that of
+    # `blur`, 2 if no spot leans, or None if all pixels have the same response
     spot_px2: Floats | None = None
     # [frame row col 2] third central moment (row, col) of that spot, or None if it is even
     skew_px3: Floats | None = None
+    leaning: lean.Taps | None = None  # blur along diagonals, which comes first, or None
 
     @property
     def frames(self) -> int:
@@ -62,7 +63,10 @@ class ForwardModel:
     @property
     def operator(self) -> LinearOperator:
         """HR image [row col] to frames [frame row col]: shift, blur, sample, gain; no bias."""
-        return sampling_operator(self.hr_shape, self.lr_shape, self.rows, self.cols, self.gain)
+        seen = sampling_operator(self.hr_shape, self.lr_shape, self.rows, self.cols, self.gain)
+        if self.leaning is None:
+            return seen
+        return chained(seen, lean.lean_operator(self.leaning, self.hr_shape))
 
     @property
     def mean_offset_px(self) -> Floats:
@@ -110,18 +114,13 @@ class ForwardModel:
         hr_shape = (lr_shape[0] * self.scale, lr_shape[1] * self.scale)
         at = [taps.position_hr_px for taps in (self.rows, self.cols)]
         at = [p[:, rows, cols] for p in at] if at[0].ndim == 3 else [at[0][:, rows], at[1][:, cols]]
-        row_at, col_at = at[0] - rows.start * self.scale, at[1] - cols.start * self.scale
+        places = at[0] - rows.start * self.scale, at[1] - cols.start * self.scale
         spots = [None if of is None else of[:, rows, cols] for of in (self.spot_px2, self.skew_px3)]
         return replace(
-            self,
-            lr_shape=lr_shape,
-            hr_shape=hr_shape,
-            rows=_taps(self.blur, row_at, self.scale, hr_shape[0], *spots, axis=0),
-            cols=_taps(self.blur, col_at, self.scale, hr_shape[1], *spots, axis=1),
-            inside=_inside(row_at, col_at, hr_shape),
-            spot_px2=spots[0],
-            skew_px3=spots[1],
-        )
+            self, lr_shape=lr_shape, hr_shape=hr_shape, inside=_inside(*places, hr_shape),
+            spot_px2=spots[0], skew_px3=spots[1],
+            **_seen(self.blur, places, self.scale, hr_shape, *spots),
+        )  # fmt: skip
 
 
 def forward_model(
@@ -147,8 +146,8 @@ def forward_model(
     offset_px : [frame 2] (row, col), one shift per frame; positive: the content moved down /
         right. Without any shift: one frame at (0, 0)
     shift_field_px : [frame row col 2] instead of `offset_px`, a shift for every pixel
-    spot_px2 : [frame row col 2], with a shift field: variance (row, col) of the optical spot of
-        every pixel beyond that of `blur`
+    spot_px2 : [frame row col 3], with a shift field: variance (row, col) and covariance of the
+        optical spot of every pixel beyond that of `blur`; with 2 in place of 3 none leans
     skew_px3 : [frame row col 2], with `spot_px2`: third central moment (row, col) of that spot
     blur : the pixel response; by default a Gaussian of 0.3 px
     gain, bias : [frame], by default 1 and 0
@@ -158,41 +157,55 @@ def forward_model(
     offset: Floats | None = None
     if shift_field_px is None:
         offset = np.array(np.zeros((1, 2)) if offset_px is None else offset_px, dtype=np.float64)
-        row_at, col_at = frame_positions(lr_shape, offset, scale)
+        places = frame_positions(lr_shape, offset, scale)
     else:
-        row_at, col_at = field_positions(shift_field_px, scale)
+        places = field_positions(shift_field_px, scale)
     gains, biases = (
-        np.full(len(row_at), usual) if given is None else np.array(given, dtype=np.float64)
+        np.full(len(places[0]), usual) if given is None else np.array(given, dtype=np.float64)
         for given, usual in ((gain, 1.0), (bias, 0.0))
     )
-    spot, skew = (_of_field(of, name, row_at)
-                  for of, name in ((spot_px2, "spot_px2"), (skew_px3, "skew_px3")))  # fmt: skip
+    spot = _of_field(spot_px2, "spot_px2", places[0], (2, 3))
+    skew = _of_field(skew_px3, "skew_px3", places[0], (2,))
     if skew is not None and spot is None:
         raise ValueError("expected skew_px3 with spot_px2, got it alone")
     return ForwardModel(
-        lr_shape=lr_shape,
-        hr_shape=hr_shape,
-        scale=scale,
-        blur=blur,
-        rows=_taps(blur, row_at, scale, hr_shape[0], spot, skew, axis=0),
-        cols=_taps(blur, col_at, scale, hr_shape[1], spot, skew, axis=1),
-        offset_px=offset,
-        gain=gains,
-        bias=biases,
-        inside=_inside(row_at, col_at, hr_shape),
-        spot_px2=spot,
-        skew_px3=skew,
-    )
+        lr_shape=lr_shape, hr_shape=hr_shape, scale=scale, blur=blur, offset_px=offset, gain=gains,
+        bias=biases, inside=_inside(*places, hr_shape), spot_px2=spot, skew_px3=skew,
+        **_seen(blur, places, scale, hr_shape, spot, skew),
+    )  # fmt: skip
 
 
-def _of_field(values: ArrayLike | None, name: str, row_at: Positions) -> Floats | None:
-    """Return what there is of spots [frame row col 2], which only a shift field has."""
+def _of_field(
+    values: ArrayLike | None, name: str, row_at: Positions, parts: tuple[int, ...]
+) -> Floats | None:
+    """Return what there is of spots [frame row col part], which only a shift field has."""
     if values is None:
         return None
     of = np.asarray(values, dtype=np.float64)
-    if row_at.ndim != 3 or of.shape != (*row_at.shape, 2) or not np.all(np.isfinite(of)):
+    shaped = row_at.ndim == 3 and of.shape in [(*row_at.shape, count) for count in parts]
+    if not shaped or not np.all(np.isfinite(of)):
         raise ValueError(f"expected finite {name} of a shift field, got shape {of.shape}")
     return of
+
+
+def _seen(
+    blur: Blur,
+    places: tuple[Positions, Positions],
+    scale: int,
+    hr_shape: tuple[int, int],
+    spot_px2: Floats | None,
+    skew_px3: Floats | None,
+) -> dict[str, Any]:
+    """Return the taps of a `ForwardModel` whose pixels look at HR places (row, col)."""
+    lean_px2 = None
+    if spot_px2 is not None:
+        spot_px2, lean_px2 = lean.upright(spot_px2)
+    rows, cols = (
+        _taps(blur, at, scale, size, spot_px2, skew_px3, axis=axis)
+        for axis, (at, size) in enumerate(zip(places, hr_shape, strict=True))
+    )
+    leaning = None if lean_px2 is None else lean.lean_taps(lean_px2, scale)
+    return {"rows": rows, "cols": cols, "leaning": leaning}
 
 
 def _taps(

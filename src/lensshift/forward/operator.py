@@ -29,6 +29,16 @@ class LinearOperator:
         return self.forward(x)
 
 
+def chained(second: LinearOperator, first: LinearOperator) -> LinearOperator:
+    """Return x -> second(first(x))."""
+    return LinearOperator(
+        first.in_shape,
+        second.out_shape,
+        lambda x: second.forward(first.forward(x)),
+        lambda y: first.adjoint(second.adjoint(y)),
+    )
+
+
 def single(values: Array) -> Array:
     """Return real or complex values in single precision, which is enough to judge a picture by."""
     return values.astype(np.complex64 if values.dtype.kind == "c" else np.float32, copy=False)

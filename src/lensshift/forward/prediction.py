@@ -26,7 +26,7 @@ class FramePredictor:
     gain: Floats
     bias: Floats
     shift_field_px: Floats | None = None  # [frame row col 2] instead of `offset_px`, or None
-    # [frame row col 2] variance of the spot beyond that of `blur`, or None
+    # [frame row col 3] variances and covariance of the spot beyond that of `blur`, or None
     spot_px2: Floats | None = None
     skew_px3: Floats | None = None  # [frame row col 2] third central moment of that spot, or None
     # What is in the frames and not in the image, or None.

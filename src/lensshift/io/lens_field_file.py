@@ -17,7 +17,7 @@ SCHEMA = "lensshift-lens-field/1"
 _NUMBERS = ("shift_error_px", "spot_error_px", "contrast_error")
 _COEFFICIENTS = {
     "shift": ("shift_px", "pixel", "Chebyshev coefficients of the image offset"),
-    "spot": ("spot_px2", "pixel2", "Chebyshev coefficients of the variance of the spot"),
+    "spot": ("spot_px2", "pixel2", "Chebyshev coefficients of variances, covariance of the spot"),
     "skew": ("skew_px3", "pixel3", "Chebyshev coefficients of the third moment of the spot"),
 }
 
@@ -34,7 +34,8 @@ def save_lens_field(field: LensField, path: str | Path) -> None:
     for name, (own, units, meaning) in _COEFFICIENTS.items():
         if getattr(field, own) is None:
             continue
-        dims = *(f"{name}_{axis}" for axis in ("row", "col", "state_row", "state_col")), "axis"
+        last = "moment" if name == "spot" else "axis"
+        dims = *(f"{name}_{axis}" for axis in ("row", "col", "state_row", "state_col")), last
         variables[name] = writer.measured(dims, getattr(field, own), units, meaning)
     attributes = {
         "shape": np.asarray(field.grid.shape, dtype=np.int64),

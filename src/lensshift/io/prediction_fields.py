@@ -3,6 +3,7 @@
     seen_offset_row, seen_offset_col   [burst_frame]                 pixel, of every frame
     seen_shift_row, seen_shift_col     [burst_frame lr_row lr_col]   pixel, of a shift field
     seen_spot_row, seen_spot_col       [burst_frame lr_row lr_col]   pixel2, variance of the spot
+    seen_spot_lean                     [burst_frame lr_row lr_col]   pixel2, its covariance, if any
     seen_skew_row, seen_skew_col       [burst_frame lr_row lr_col]   pixel3, its third moment
     c_gain, c_bias                     [burst_frame]                 of channel c
     attributes of the distance of phasors: modulation_hz, reference_m, circular
@@ -30,6 +31,7 @@ from lensshift.io.container_writer import Variable, measured
 
 _FRAME = ("burst_frame",)
 _PIXEL = (*_FRAME, "lr_row", "lr_col")
+_ALONG = {"row": "along rows", "col": "along columns", "lean": "across both"}
 
 
 def prediction_variables(channels: Mapping[str, Estimate]) -> dict[str, Variable]:
@@ -40,17 +42,15 @@ def prediction_variables(channels: Mapping[str, Estimate]) -> dict[str, Variable
         plain = seen.phasor if isinstance(seen, PhasorPredictor) else seen
         if not isinstance(plain, FramePredictor):
             continue
-        for what, dims, pairs, unit, meaning in (
+        for what, dims, values, unit, meaning in (
             ("offset", _FRAME, plain.offset_px, "pixel", "image offset"),
             ("shift", _PIXEL, plain.shift_field_px, "pixel", "image offset"),
             ("spot", _PIXEL, plain.spot_px2, "pixel2", "variance of the spot"),
             ("skew", _PIXEL, plain.skew_px3, "pixel3", "third central moment of the spot"),
         ):
-            for index, axis in enumerate(("row", "col") if pairs is not None else ()):
-                one = measured(
-                    dims, np.asarray(pairs)[..., index], unit, f"{meaning} along {axis}s"
-                )
-                variables[f"seen_{what}_{axis}"] = one
+            parts: Any = [] if values is None else np.moveaxis(values, -1, 0)
+            for (axis, along), one in zip(_ALONG.items(), parts, strict=False):
+                variables[f"seen_{what}_{axis}"] = measured(dims, one, unit, f"{meaning} {along}")
         variables[f"{name}_gain"] = Variable(_FRAME, plain.gain, {"units": "1"})
         variables[f"{name}_bias"] = Variable(_FRAME, plain.bias)
     return variables
@@ -112,10 +112,11 @@ def with_predictions(
 def _of_pixels(
     container: Container, what: str, shape: tuple[int, ...]
 ) -> NDArray[np.float64] | None:
-    """Return [frame row col 2] of every LR pixel, or None if the file has none."""
+    """Return [frame row col part] of every LR pixel, or None if the file has none."""
     if not container.has(f"seen_{what}_row"):
         return None
-    parts = [container.array(f"seen_{what}_{axis}", kinds="f") for axis in ("row", "col")]
+    known = [axis for axis in _ALONG if axis != "lean" or container.has(f"seen_{what}_lean")]
+    parts = [container.array(f"seen_{what}_{axis}", kinds="f") for axis in known]
     if any(part.shape != shape for part in parts):
         raise DataError("expected one for every LR pixel", field=f"seen_{what}_row")
     return np.stack(parts, axis=-1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from itertools import count
 from typing import Any
 
@@ -44,8 +43,10 @@ _CHECKED = (5, 4)  # places and states along an axis where a fit is checked
 _MOST_TRACES = len(_DEGREES) + len(_SPOT_DEGREES) + 4  # those of each degree, and those checked
 # Cycles per pixel at which the spot is compared with a Gaussian.
 _CPP = np.arange(1, 8) / 8.0
-_AXES = np.eye(2)
-_ASLANT = np.array([[1.0, 1.0], [1.0, -1.0]]) / 2**0.5
+# Directions: rows, columns, both diagonals.
+_ALONG = np.array([[1.0, 0.0], [0.0, 1.0], [0.5**0.5, 0.5**0.5], [0.5**0.5, -(0.5**0.5)]])
+# Behind a square pixel [direction frequency].
+_PIXEL = np.sinc(_ALONG[:, :1] * _CPP) * np.sinc(_ALONG[:, 1:] * _CPP)
 _NO_CONTRAST = 1e-3  # its logarithm would weigh nothing
 _SPOT_STEPS, _SPOT_STILL = 30, 1e-6  # far below what a fit may be off by
 _SPOT_STRIDE = 0.1  # px^2 and px^3: a step farther may leave where the OTF is nearly linear in them
@@ -64,10 +65,10 @@ def lens_field(
     """Return shift and spot of a lens over a sensor for all positions of what moves.
 
     The offset of a pixel is that of the object point whose image is there after the move, against
-    where its image is at rest. The spot of light and diffraction is described by the variance of
-    the Gaussian that lets as much contrast through, and by the third moment that turns the phase as
-    coma does, each frequency up to that of the pixels weighted with the square of the contrast
-    behind lens and pixel.
+    where its image is at rest. The spot of light and diffraction is described by the variances and
+    the covariance of the Gaussian that lets as much contrast through along rows, columns and
+    diagonals, and by the third moments that turn the phase as coma does, each frequency up to that
+    of the pixels weighted with the square of the contrast behind lens and pixel.
 
     Parameters
     ----------
@@ -136,14 +137,12 @@ def _fitted(mover: _Mover, told: Callable[[int, int], None] | None) -> tuple[Len
 
     shift_px, shift_error_px = _fit(counted(mover.shifts), _DEGREES, _SHIFT_PX)
     spot, _ = _fit(counted(mover.spots), _SPOT_DEGREES, _SPOT_PX2)
-    spot_error_px, near_error_px, contrast_error = _spot_errors(
-        counted(mover.otf), counted(partial(mover.otf, along=_ASLANT)), spot
-    )
+    spot_error_px, near_error_px, contrast_error = _spot_errors(counted(mover.otf), spot)
     field = LensField(
         grid=mover.grid,
         shift_px=shift_px,
-        spot_px2=spot[..., :2],
-        skew_px3=spot[..., 2:],
+        spot_px2=spot[..., :3],
+        skew_px3=spot[..., 3:],
         reach=mover.reach,
         motion=mover.motion,
         element=mover.element,
@@ -198,23 +197,25 @@ class _Mover:
         )
         return np.asarray((moved_mm - resting_mm) / pitch_mm)
 
-    def otf(self, u: Floats, s: Floats, along: Floats = _AXES) -> Waves:
-        """Return the OTF about the centroid [place state 2 frequency] along two directions."""
+    def otf(self, u: Floats, s: Floats) -> Waves:
+        """Return the OTF about the centroid [place state direction frequency]."""
         state = s * np.asarray(self.reach)
         fields = self._fields(u, state)
-        found = np.full((len(u), len(s), 2, len(_CPP)), np.nan, np.complex128)
-        lpmm = (along[:, None] * _CPP[:, None] / self.grid.pitch_mm).reshape(-1, 2)
+        found = np.full((len(u), len(s), *_PIXEL.shape), np.nan, np.complex128)
+        lpmm = (_ALONG[:, None] * _CPP[:, None] / self.grid.pitch_mm).reshape(-1, 2)
         for place, field_tan in enumerate(fields):  # each with as many rays as it needs
             lit = np.flatnonzero(np.isfinite(field_tan[:, 0]))
             if lit.size:
                 build = self._build(state[lit])
                 of_lit = otf_of_rays(self.lens, field_tan[lit], lpmm, build=build)
-                found[place, lit] = of_lit.reshape(len(lit), 2, -1)
+                found[place, lit] = of_lit.reshape(len(lit), *_PIXEL.shape)
         return found
 
     def spots(self, u: Floats, s: Floats) -> Floats:
-        """Return variances in px^2 and third moments in px^3 [place state 4] of the spots."""
-        return np.concatenate(equivalent_spot(self.otf(u, s)), axis=-1)
+        """Return variances, covariance (px^2), third moments (px^3) [place state 5] of spots."""
+        along_px2, skew_px3 = equivalent_spot(self.otf(u, s), _PIXEL)
+        lean_px2 = 0.5 * (along_px2[..., 2:3] - along_px2[..., 3:])
+        return np.concatenate([along_px2[..., :2], lean_px2, skew_px3[..., :2]], axis=-1)
 
     def _build(self, state: Floats) -> Build | None:
         """Return the builds [state]."""
@@ -234,15 +235,16 @@ class _Mover:
         )
 
 
-def equivalent_px2(contrast: Floats) -> Floats:
+def equivalent_px2(contrast: Floats, pixel: Floats = _PIXEL[0]) -> Floats:
     """Return the variance in px^2 of the Gaussian that passes about the contrast [... frequency].
 
-        sigma^2 = - sum w f^2 ln m / (2 pi^2 sum w f^4),   w = (m sinc f)^2
+        sigma^2 = - sum w f^2 ln m / (2 pi^2 sum w f^4),   w = (m pixel(f))^2
 
-    Least squares of ln m with the errors of m behind a square pixel, at frequencies `_CPP`.
+    Least squares of ln m with the errors of m behind a pixel, along its rows unless another
+    contrast of it is given, at frequencies `_CPP`.
     """
     seen = np.maximum(contrast, _NO_CONTRAST)
-    weight = (seen * np.sinc(_CPP)) ** 2
+    weight = (seen * pixel) ** 2
     above = -np.sum(weight * _CPP**2 * np.log(seen), axis=-1)
     below = 2.0 * np.pi**2 * np.sum(weight * _CPP**4, axis=-1)
     return np.asarray(above / below)
@@ -256,20 +258,20 @@ def spot_otf(spot_px2: Floats, skew_px3: Floats) -> Waves:
     )
 
 
-def equivalent_spot(otf: Waves) -> tuple[Floats, Floats]:
+def equivalent_spot(otf: Waves, pixel: Floats = _PIXEL[0]) -> tuple[Floats, Floats]:
     """Return variance in px^2 and third moment in px^3 of the spot nearest to an OTF.
 
-    Least squares of the OTF behind a square pixel by Gauss and Newton, whose steps in the two are
-    independent: one is along the model, the other across it.
+    Least squares of the OTF behind a pixel (as for `equivalent_px2`) by Gauss and Newton, whose
+    steps in the two are independent: one is along the model, the other across it.
     """
-    w, pixel = 2.0 * np.pi * _CPP, np.sinc(_CPP) ** 2
-    spot_px2, skew_px3 = equivalent_px2(np.abs(otf)), np.zeros(otf.shape[:-1])
+    w, power = 2.0 * np.pi * _CPP, pixel**2
+    spot_px2, skew_px3 = equivalent_px2(np.abs(otf), pixel), np.zeros(otf.shape[:-1])
     most, none_px2 = _SPOT_STRIDE, -2.0 * np.log(_NO_CONTRAST) / w[0] ** 2
     for _ in range(_SPOT_STEPS):
         model = spot_otf(spot_px2, skew_px3)
-        off, weight = model.conj() * (otf - model), pixel * np.abs(model) ** 2
-        less = np.sum(pixel * w**2 * off.real, axis=-1) / np.sum(weight * w**4, axis=-1)
-        more = np.sum(pixel * w**3 * off.imag, axis=-1) / np.sum(weight * w**6, axis=-1)
+        off, weight = model.conj() * (otf - model), power * np.abs(model) ** 2
+        less = np.sum(power * w**2 * off.real, axis=-1) / np.sum(weight * w**4, axis=-1)
+        more = np.sum(power * w**3 * off.imag, axis=-1) / np.sum(weight * w**6, axis=-1)
         spot_px2 = np.clip(spot_px2 - np.clip(2.0 * less, -most, most), 0.0, none_px2)
         skew_px3 = skew_px3 + np.clip(6.0 * more, -most, most)
         if max(np.abs(less).max(), np.abs(more).max()) < _SPOT_STILL:
@@ -324,21 +326,19 @@ def _fit(sample: Sample, degrees: tuple[tuple[int, int], ...], goal: float) -> t
     return best, least
 
 
-def _spot_errors(sample: Sample, aslant: Sample, spot: Floats) -> tuple[float, float, float]:
+def _spot_errors(sample: Sample, spot: Floats) -> tuple[float, float, float]:
     """Return the largest errors of a width in px, everywhere and near rest, and of the contrast.
 
     The contrast is that behind lens and pixel, along the axes and the diagonals.
     """
     places, states = (_crossed(np.linspace(-1.0, 1.0, count)) for count in _CHECKED)
     otf = sample(places, states)
-    fitted_px2, fitted_px3 = np.split(_values(spot, places, states), 2, axis=-1)
-    fitted_px2 = np.maximum(fitted_px2, 0.0)
-    width_px = np.sqrt(equivalent_spot(otf)[0])
-    off = np.abs(spot_otf(fitted_px2, fitted_px3) - otf) * np.sinc(_CPP)
-    mixed_px2, mixed_px3 = fitted_px2 @ (_ASLANT**2).T, fitted_px3 @ (_ASLANT**3).T
-    slanted = np.abs(spot_otf(mixed_px2, mixed_px3) - aslant(places, states))
-    off = np.maximum(off, slanted * np.sinc(_CPP / 2**0.5) ** 2)
-    wrong_px = np.nanmax(np.abs(np.sqrt(fitted_px2) - width_px), axis=(0, 2))
+    fitted_px2, fitted_px3 = np.split(_values(spot, places, states), (3,), axis=-1)
+    fitted_px2[..., :2] = np.maximum(fitted_px2[..., :2], 0.0)
+    width_px = np.sqrt(equivalent_spot(otf, _PIXEL)[0][..., :2])
+    along_px2 = fitted_px2 @ np.column_stack([_ALONG**2, 2.0 * _ALONG.prod(axis=1)]).T
+    off = np.abs(spot_otf(along_px2, fitted_px3 @ (_ALONG**3).T) - otf) * _PIXEL
+    wrong_px = np.nanmax(np.abs(np.sqrt(fitted_px2[..., :2]) - width_px), axis=(0, 2))
     near = np.abs(states).max(axis=-1) < 0.5
     return float(np.nanmax(wrong_px)), float(np.nanmax(wrong_px[near])), float(np.nanmax(off))
 

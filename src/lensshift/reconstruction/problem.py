@@ -275,7 +275,7 @@ def blur_width_px(blur: Blur) -> float:
 
 def _mean_width_px(model: ForwardModel) -> float:
     """Return the width of the response, of one that varies the root mean square."""
-    spot_px2 = 0.0 if model.spot_px2 is None else float(model.spot_px2.mean())
+    spot_px2 = 0.0 if model.spot_px2 is None else float(model.spot_px2[..., :2].mean())
     return math.sqrt(max(blur_width_px(model.blur) ** 2 + spot_px2, 0.0))
 
 

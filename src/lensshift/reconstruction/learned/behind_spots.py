@@ -35,7 +35,7 @@ def wider_behind_spots(problem: Problem, sigma: Floats) -> Floats:
         return np.ones(model.hr_shape)
     noise = max(median(sigma[used]), 1e-15) ** 2
     told = model.frames * max(float(np.var(np.abs(problem.y[used]))) / noise, 1.0)
-    spot_px2 = np.maximum(model.spot_px2.mean(axis=(0, 3)), 0.0)
+    spot_px2 = np.maximum(model.spot_px2[..., :2].mean(axis=(0, 3)), 0.0)
     widths_px2 = np.linspace(0.0, max(float(spot_px2.max()), 1e-9), _WIDTHS)
     pixel_px2 = blur_width_px(model.blur) ** 2
     left = np.array([_left(pixel_px2 + more, model.scale, told) for more in widths_px2])

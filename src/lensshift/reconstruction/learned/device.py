@@ -187,12 +187,21 @@ def _of_field(
     weight = rows.weight[..., :, None] * cols.weight[..., None, :]
     count = rows.start.size
     take, spread = _both_ways(on, index.reshape(count, -1), weight.reshape(count, -1), h * w)
+    steps, back = [take], [spread]
+    if model.leaning is not None:
+        lean, upright = _both_ways(on, *model.leaning, h * w)
+        steps, back = [lean, take], [spread, upright]
+
+    def through(values: Array, tables: list[Table]) -> Array:
+        for table in tables:
+            values = _gathered(on.xp, values, table)
+        return values
 
     def forward(x: Array) -> Array:
-        return _gathered(on.xp, x.reshape(-1, h * w, 1), take).reshape(-1, *rows.start.shape)
+        return through(x.reshape(-1, h * w, 1), steps).reshape(-1, *rows.start.shape)
 
     def adjoint(y: Array) -> Array:
-        return _gathered(on.xp, y.reshape(-1, count, 1), spread).reshape(-1, h, w)
+        return through(y.reshape(-1, count, 1), back).reshape(-1, h, w)
 
     return forward, adjoint
 
