@@ -79,7 +79,7 @@ def taken(scenes: list[Scene], snr: float, seed: int, told: Array = OFFSETS) -> 
     wrong = 0.02 * rng.standard_normal(OFFSETS.shape)
     frames = [means(s, o, 1) for s, o in zip(scenes, OFFSETS + wrong, strict=True)]
     z, light = (np.stack(part) for part in zip(*frames, strict=True))
-    usual = np.median(light)
+    usual = np.median(light[light > 0])
     sigma = usual / snr * np.sqrt(0.1 + 0.9 * light / usual)
     noise = rng.standard_normal((2, *z.shape))
     z = z + sigma * (noise[0] + 1j * noise[1])
@@ -192,6 +192,21 @@ def test_wrong_shifts_are_named_and_right_ones_pass(seed: int) -> None:
     ):
         with pytest.warns(QualityWarning, match=name):
             measured(taken([scene] * 4, 20.0 + 10 * seed, seed, told))
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_a_surface_below_much_sky_stays_smooth(seed: int) -> None:
+    """Phases of pixels without light are anything, and were the unit of all the others' noise."""
+
+    def scene(rows: Array, cols: Array) -> tuple[Array, Array]:
+        lit = rows + 0.5 * np.sin(cols) > 8.6
+        return np.where(lit, 0.4, 0.0), 3.6 + 0.02 * cols + 0.01 * rows
+
+    found = measured(taken([scene] * 4, 120.0, seed))
+    inside = np.s_[23:-2, 2:-2]
+    off_m = (found.image - truth_m(scene))[inside]
+    assert np.sqrt(np.mean(off_m**2)) < 0.5 / 120.0 / PER_M  # of one frame; 1.1 before
+    assert np.mean(np.abs(off_m) < 2 * found.std[inside]) > 0.8
 
 
 def test_distances_of_hardly_any_light_spoil_nothing() -> None:

@@ -26,6 +26,7 @@ from lensshift.reconstruction.learned.opinions import amplitude_of_both, phase_o
 from lensshift.reconstruction.learned.pooling import pooled_phase
 from lensshift.reconstruction.learned.reach import Reach
 from lensshift.reconstruction.learned.solver import Asked, Solution
+from lensshift.reconstruction.learned.unseen import LEAST_SEEN
 from lensshift.reconstruction.problem import LEAST_SHARE_OF_LIGHT
 
 # Width of a mean, LR pixels, that is left to the frames: some 30 pixels of each. The noise of white
@@ -157,8 +158,9 @@ def _second_phase(
 
     The phase of a mean is no mean of phases: by how much, beta, the picture tells, so frames are
     brought to what they would be if it were. That holds as far as the picture is right, and to
-    first order: of phases a radian apart nothing is known. An HR pixel is 1 / scale^2 of what an
-    LR pixel sees.
+    first order: of phases a radian apart nothing is known. Pixels of s_theta above that, as of the
+    sky, are left out, and the first phase stays where most are: the solver takes the mean noise for
+    its unit, which they alone would make. An HR pixel is 1 / scale^2 of what an LR pixel sees.
     """
     A, used = asked.model.operator, np.isfinite(asked.sigma)
     a, phase = np.abs(image), np.angle(image)
@@ -166,12 +168,19 @@ def _second_phase(
     least = LEAST_SHARE_OF_LIGHT**0.5 * median(np.abs(seen[used]))
     light = np.maximum(np.abs(seen), max(least, TINY))
     theta = mean + np.where(used, np.angle(asked.y * seen.conj()), 0.0)
-    other = solve(replace(asked, y=theta, sigma=asked.sigma / light, general=True))
+    sigma = asked.sigma / light
+    sigma[sigma > 1.0] = np.inf
+    known = np.isfinite(sigma)
+    if not known.any():
+        return phase, std_rad
+    other = solve(replace(asked, y=theta, sigma=sigma, general=True))
     bias = within_half_a_turn(np.angle(seen) - mean)
     bias_2 = mean_seen(A, single(bias**2), np.ones(light.shape, np.float32))
     bias, other_rad = scale**2 * np.sqrt(bias_2), np.hypot(other.std, 0.5 * bias_2)
     evidence = _evidence(asked, image, a * np.exp(1j * other.image), scale)
-    return phase_of_both(phase, other.image, std_rad, other_rad, bias, evidence)
+    both = phase_of_both(phase, other.image, std_rad, other_rad, bias, evidence)
+    hardly = mean_seen(A, single(known), single(used)) < LEAST_SEEN
+    return np.where(hardly, phase, both[0]), np.where(hardly, std_rad, both[1])
 
 
 def _evidence(
