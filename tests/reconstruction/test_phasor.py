@@ -292,6 +292,28 @@ def test_pixels_that_mix_a_floor_with_a_box_before_it_fly(seed: int) -> None:
     assert flying_pixels(image_m, noise_m=0.01)[9:15, 20].all()
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_floors_beyond_the_range_do_not_fly(seed: int) -> None:
+    """Told a turn nearer, their steps are more than 5 %, and 1 / distance is no straight line."""
+    rng = np.random.default_rng(seed)
+    row, col = np.mgrid[:24, :30]
+    wall_m = 1.0 / (0.125 - 0.0021 * row + 0.0004 * col)  # from 8 to 13 m
+    told_m = np.mod(wall_m + 0.003 * rng.standard_normal(wall_m.shape), 10.0)
+    assert flying_pixels(told_m, noise_m=0.003).mean() > 0.1
+    assert flying_pixels(told_m, noise_m=0.003, range_m=10.0).mean() < 0.02
+
+
+def test_mixtures_fly_the_short_way_round() -> None:
+    """Of a wall at 12 m, told as 2, and a box at 9 m, phasors mix what is told as 0.5."""
+    image_m = np.full((9, 12), 2.0)
+    image_m[:, 6:] = 9.0
+    image_m[2:7, 5] = 0.5
+    assert not flying_pixels(image_m, noise_m=0.01)[3:6, 5].any()
+    found = flying_pixels(image_m, noise_m=0.01, range_m=10.0)
+    assert found[3:6, 5].all()
+    assert not np.delete(found, 5, axis=1).any()
+
+
 def test_estimates_predict_the_frames() -> None:
     burst = card_burst(0.002)
     result = reconstruct(burst, channel="phasor")

@@ -14,7 +14,7 @@ from lensshift.core.arrays import Floats, Mask
 from lensshift.core.errors import QualityWarning
 from lensshift.core.order import median
 from lensshift.core.types import Burst, Estimate, Status
-from lensshift.core.units import PhaseScale, distance_to_phase
+from lensshift.core.units import PhaseScale, distance_to_phase, unambiguous_range_m
 from lensshift.forward.prediction import (
     FramePredictor,
     PhasorPredictor,
@@ -270,5 +270,6 @@ def _result(
     )
     std_m = distance.uncertainty if isinstance(distance.uncertainty, np.ndarray) else noise_m
     unseen = share_seen(problem.model.operator, problem.weight > 0) < LEAST_SEEN
-    flying = flying_pixels(distance_m, noise_m=std_m) | unseen
+    range_m = unambiguous_range_m(scale.modulation_hz) if scale.circular else None
+    flying = flying_pixels(distance_m, noise_m=std_m, range_m=range_m) | unseen
     return PhasorResult(amplitude, distance, flying, unseen)

@@ -18,7 +18,9 @@ _DEGREE = 2
 _FREE = (2 * _AROUND + 1) ** 2 - 6  # values less the terms of a polynomial of that degree
 
 
-def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> Mask:
+def flying_pixels(
+    distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0, range_m: float | None = None
+) -> Mask:
     """Return the pixels [row col] that lie between two surfaces and on neither.
 
         d - near >= q (far - near),   far - d >= q (far - near),   q = 0.2
@@ -29,18 +31,34 @@ def flying_pixels(distance_m: ArrayLike, *, noise_m: ArrayLike = 0.0) -> Mask:
     both of which it is off by more than 3 sqrt(6) sigma, the noise of that comparison: steps of any
     height, no slanted surface.
 
+    Distances that come back are counted from 0 or from half their range, from where is farther from
+    the pixel, as phasors mix the short way round; a surface may be a turn behind what is told.
+
     Parameters
     ----------
     distance_m : [row col]
     noise_m : standard deviation of the distances, sigma, one number or [row col]
+    range_m : after which distances come back, if they do
     """
     image_m = np.asarray(distance_m, np.float64)
     sigma_m = np.broadcast_to(np.asarray(noise_m, np.float64), image_m.shape)
+    if range_m is None:
+        return _flying(image_m, sigma_m, [image_m])
+    half_m = range_m / 2
+    later_m = np.mod(image_m + half_m, range_m) + half_m
+    ways = [image_m, later_m, image_m + range_m]
+    amid = np.abs(image_m - half_m) < half_m / 2
+    return np.where(amid, *(_flying(counted_m, sigma_m, ways) for counted_m in ways[:2]))
+
+
+def _flying(image_m: Floats, sigma_m: Floats, ways: list[Floats]) -> Mask:
+    """Return what flies if distances count so; no surface of any of the ways to count does."""
     near_m, far_m = minimum_filter(image_m, 3), maximum_filter(image_m, 3)
-    large = far_m - near_m > np.maximum(FLYING_SIGMAS * sigma_m, FLYING_STEP * np.abs(near_m))
+    step_m = FLYING_STEP * np.abs(minimum_filter(ways[0], 3))
+    large = far_m - near_m > np.maximum(FLYING_SIGMAS * sigma_m, step_m)
     flying = large & _between(image_m, near_m, far_m)
-    if flying.any():
-        flying &= ~on_surface(image_m, sigma_m)
+    for counted_m in ways if flying.any() else []:
+        flying &= ~on_surface(counted_m, sigma_m)
     for axis in (0, 1):
         if image_m.shape[axis] < 5:
             continue
