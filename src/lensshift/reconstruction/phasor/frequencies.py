@@ -186,8 +186,10 @@ def doubt_about_phases(pictures: Tones) -> str:
 
     Phases of another frequency than they are told to be of, or that run backwards, fit none.
     """
-    given = _typical_chi_square(pictures)
-    if given < SURE or _typical_off_rad(pictures) < CALIBRATED_RAD:
+    found_m, chi_square, _ = pictures.alone()
+    off_rad = within_half_a_turn(pictures.phase_rad - pictures.rad_per_m * found_m)
+    given = float(np.median(chi_square))
+    if given < SURE or np.median(np.abs(off_rad).max(axis=0)) < CALIBRATED_RAD:
         return ""
     told = _names(pictures.hz)
     readings = [
@@ -210,7 +212,7 @@ def doubt_about_phases(pictures: Tones) -> str:
                 "backwards: give the conjugate of its phasors, so that phases grow with distance",
             )
         )
-    costs = [_typical_chi_square(reading) for reading, _ in readings]
+    costs = [float(np.median(reading.alone()[1])) for reading, _ in readings]
     best = int(np.argmin(costs))
     if costs[best] < min(SURE, given / SURE):
         return readings[best][1]
@@ -223,16 +225,6 @@ def doubt_about_phases(pictures: Tones) -> str:
 
 def _names(some_hz: tuple[float, ...]) -> str:
     return ", ".join(f"{hz:g}" for hz in some_hz)
-
-
-def _typical_off_rad(pictures: Tones) -> float:
-    """Return by how much most pixels have a phase off that of their distance."""
-    off_rad = within_half_a_turn(pictures.phase_rad - pictures.rad_per_m * pictures.alone()[0])
-    return float(np.median(np.abs(off_rad).max(axis=0)))
-
-
-def _typical_chi_square(pictures: Tones) -> float:
-    return float(np.median(pictures.alone()[1]))
 
 
 def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
