@@ -9,7 +9,7 @@ leaves out the pixels that mix two surfaces.
 import lensshift
 from lensshift.pipeline import default_experiment
 from lensshift.pipeline.experiment import simulate
-from lensshift.report.cloud import cloud_figure
+from lensshift.report.result import cloud_figure
 
 burst = simulate(default_experiment()).burst
 result = lensshift.reconstruct(burst, scale=2)

@@ -15,12 +15,12 @@ import atheris
 
 with atheris.instrument_imports(include=["lensshift.capture"]):
     from lensshift.capture.drivers import apt_codec
-    from lensshift.capture.drivers.apt_framer import Framer
+    from lensshift.capture.drivers.apt_codec import Framer
     from lensshift.capture.drivers.o3m_layout import read_diagnosis, read_image
     from lensshift.capture.drivers.o3m_stream import O3MStream
     from lensshift.capture.drivers.pcic_protocol import PcicParser, read_result, write_message
 from lensshift.capture.emulators.o3m import diagnosis_message, packetise, pixel_message
-from lensshift.capture.emulators.pcic_result import result_content
+from lensshift.capture.emulators.pcic import result_content
 from lensshift.core.errors import DataError, DeviceError
 
 from test_fuzz_parsers import seen  # isort: skip  (a file beside this one)

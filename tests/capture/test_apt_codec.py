@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lensshift.capture.drivers import apt_codec as apt
-from lensshift.capture.drivers.apt_codec import Id, Message
-from lensshift.capture.drivers.apt_framer import Framer
+from lensshift.capture.drivers.apt_codec import Framer, Id, Message
 
 oracle = pytest.importorskip("thorlabs_apt_protocol")
 

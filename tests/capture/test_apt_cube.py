@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from lensshift.capture.drivers import apt_codec as apt
-from lensshift.capture.drivers.apt_codec import Bits, DamagedMessage, Id, Message, Status
+from lensshift.capture.drivers.apt_codec import Bits, DamagedMessage, Framer, Id, Message, Status
 from lensshift.capture.drivers.apt_cube import AptCube, _possible_status
-from lensshift.capture.drivers.apt_framer import Framer
 from lensshift.core.errors import DeviceError
 
 WELL = Bits.CONNECTED | Bits.HOMED | Bits.ENABLED

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lensshift.capture.drivers import apt_codec as apt
-from lensshift.capture.drivers.apt_codec import Bits, Id, Message
-from lensshift.capture.drivers.apt_framer import Framer
+from lensshift.capture.drivers.apt_codec import Bits, Framer, Id, Message
 from lensshift.capture.drivers.apt_settings import Z8_COUNTS_PER_MM, travel_time_s
 from lensshift.capture.emulators.apt import AptController, EmulatedStagePair
 from lensshift.capture.emulators.apt_messages import More

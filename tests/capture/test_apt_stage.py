@@ -16,7 +16,7 @@ import serial.tools.list_ports
 from lensshift.capture.drivers import apt_codec as apt
 from lensshift.capture.drivers.apt import AptSettings, AptStage, open_apt_stage
 from lensshift.capture.drivers.apt_codec import Id, Message
-from lensshift.capture.drivers.apt_link import find_port
+from lensshift.capture.drivers.apt_cube import find_port
 from lensshift.capture.drivers.apt_settings import Z8_COUNTS_PER_MM, travel_time_s
 from lensshift.capture.emulators.apt import (
     AptController,

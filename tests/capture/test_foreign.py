@@ -23,8 +23,7 @@ from lensshift.capture.drivers.replay import ReplayCamera
 from lensshift.capture.emulators.apt import EmulatedStagePair
 from lensshift.capture.emulators.ifm_device import IfmDevice
 from lensshift.capture.emulators.o3m import packetise, pixel_message
-from lensshift.capture.emulators.pcic import PcicServer
-from lensshift.capture.emulators.pcic_result import directions
+from lensshift.capture.emulators.pcic import PcicServer, directions
 from lensshift.core.types import Frame
 
 PYTHON = os.environ.get("LENSSHIFT_FOREIGN_PYTHON", sys.executable)

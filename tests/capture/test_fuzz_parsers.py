@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lensshift.capture.drivers import apt_codec as apt
-from lensshift.capture.drivers.apt_framer import Framer
+from lensshift.capture.drivers.apt_codec import Framer
 from lensshift.capture.drivers.o3m_layout import read_diagnosis, read_image
 from lensshift.capture.drivers.o3m_packets import MAX_MESSAGE_BYTES
 from lensshift.capture.drivers.o3m_stream import O3MStream
@@ -26,7 +26,7 @@ from lensshift.capture.emulators.o3m import (
     packetise,
     pixel_message,
 )
-from lensshift.capture.emulators.pcic_result import result_content
+from lensshift.capture.emulators.pcic import result_content
 from lensshift.core.errors import DataError, DeviceError
 from lensshift.core.types import Frame
 

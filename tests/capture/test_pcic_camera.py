@@ -16,8 +16,7 @@ import pytest
 from lensshift.capture.drivers.pcic import PcicCamera
 from lensshift.capture.drivers.pcic_protocol import write_message
 from lensshift.capture.emulators.ifm_device import IfmDevice
-from lensshift.capture.emulators.pcic import PcicServer
-from lensshift.capture.emulators.pcic_result import directions, result_content
+from lensshift.capture.emulators.pcic import PcicServer, directions, result_content
 from lensshift.core.errors import DeviceError, DeviceTimeout
 from lensshift.core.types import Frame
 

@@ -20,7 +20,7 @@ from lensshift.capture.drivers.pcic_protocol import (
     read_tof_info,
     write_message,
 )
-from lensshift.capture.emulators.pcic_result import result_content
+from lensshift.capture.emulators.pcic import result_content
 from lensshift.core.errors import DataError
 from lensshift.core.intrinsics import Pinhole
 from lensshift.core.types import Frame

@@ -27,8 +27,7 @@ from lensshift.core.types import Frame
 from lensshift.io import load_burst, load_reconstruction
 from lensshift.io.capture_file import CaptureWriter
 from lensshift.live.controls import box_of, checked, control
-from lensshift.live.message import coded, message
-from lensshift.live.picture import Settings
+from lensshift.live.picture import Settings, coded, message
 from lensshift.live.sources import BurstSource, CameraSource, Shot, SimulatedSource
 from lensshift.live.worker import Live, Mailbox
 

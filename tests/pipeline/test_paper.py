@@ -16,11 +16,10 @@ from lensshift.optics.which import Mover
 from lensshift.pipeline.experiment import Experiment, told
 from lensshift.pipeline.paper import bench
 from lensshift.pipeline.paper.bench import CARD_LIGHT, PITCH_MM, paper_camera, px_to_m
-from lensshift.pipeline.paper.beyond import remark, shift_claim
+from lensshift.pipeline.paper.beyond import PHASES, Strip, remark, shift_claim, study_strip
 from lensshift.pipeline.paper.box_claims import best_width_px, steepness, take_boxes
 from lensshift.pipeline.paper.claims import CRITERIA, VERDICTS, exactly, mean_interval, verdict
 from lensshift.pipeline.paper.edge_claims import jaggedness_px, upto
-from lensshift.pipeline.paper.gradient_question import PHASES, Strip, study_strip
 from lensshift.pipeline.paper.gratings import grating, read_grating, take_grating
 from lensshift.pipeline.paper.optics_claims import LensResult, optics_claims
 from lensshift.pipeline.paper.reproduce import carry_out_jobs

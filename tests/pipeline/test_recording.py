@@ -22,7 +22,7 @@ import lensshift
 from lensshift import Burst, DataError
 from lensshift.cli.app import app
 from lensshift.core.types import Status
-from lensshift.io import piecewise_file
+from lensshift.io import sequence_file
 from lensshift.io.burst_file import open_recording, write_recording
 from lensshift.io.sequence_file import load_window, sequence_numbers
 from lensshift.pipeline import recording
@@ -262,7 +262,7 @@ def test_a_break_changes_nothing(film: Path, tmp_path: Path):
 def test_what_was_half_written_is_made_anew(film: Path, tmp_path: Path):
     whole = reconstruct_recording(film, tmp_path / "whole.nc", window=4)
     with whole.path.open("r+b") as file:
-        with piecewise_file.open_container(whole.path, "lensshift-sequence/1") as container:
+        with sequence_file.open_container(whole.path, "lensshift-sequence/1") as container:
             starts = {name: container.start_of(name) for name in ("written", "distance")}
         file.seek(starts["written"] + 3)
         file.write(bytes(3))
@@ -346,7 +346,7 @@ def test_too_little_room_is_said_before_the_work(
     class Room:
         free = 10_000
 
-    monkeypatch.setattr(piecewise_file.shutil, "disk_usage", lambda _: Room)
+    monkeypatch.setattr(sequence_file.shutil, "disk_usage", lambda _: Room)
     with pytest.raises(DataError, match="MB are free"):
         reconstruct_recording(film, tmp_path / "sr.nc", window=4)
     assert [path.name for path in tmp_path.iterdir()] == ["film.nc"]

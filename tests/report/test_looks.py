@@ -22,7 +22,6 @@ from lensshift.evaluation.zone_plate import zone_plate_response
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.mtf import led_band
 from lensshift.report.claims import gains_figure
-from lensshift.report.cloud import cloud_figure
 from lensshift.report.depth import depth_figure
 from lensshift.report.edges import edge_figure, gain_figure
 from lensshift.report.gradient import MeasuredLines, gradient_figure
@@ -40,6 +39,7 @@ from lensshift.report.lens_maps import (
     spots_figure,
 )
 from lensshift.report.lenses import layout_figure, mtf_figure, which_figure
+from lensshift.report.result import cloud_figure
 from lensshift.report.shots import shots_figure
 from lensshift.report.stars import star_figure, zone_plate_figure
 

@@ -9,8 +9,7 @@ from drawn import assert_well_drawn, axes_titled
 from lensshift.core.grid import Grid
 from lensshift.core.point_cloud import PointCloud
 from lensshift.core.types import Estimate, Reconstruction, Status
-from lensshift.report.cloud import cloud_figure, drawn_pixels
-from lensshift.report.result import result_figure
+from lensshift.report.result import cloud_figure, drawn_pixels, result_figure
 
 
 def _result(shape: tuple[int, int], *, distance: bool = True) -> Reconstruction:

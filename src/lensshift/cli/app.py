@@ -18,8 +18,7 @@ from lensshift.cli.live import live
 from lensshift.cli.methods import methods
 from lensshift.cli.reconstruct import reconstruct
 from lensshift.cli.register import register
-from lensshift.cli.reproduce import reproduce
-from lensshift.cli.run import run
+from lensshift.cli.run import reproduce, run
 from lensshift.cli.simulate import simulate
 from lensshift.cli.verbs import verb_group
 

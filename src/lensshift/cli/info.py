@@ -60,7 +60,7 @@ def info(current: Session, asked: _InfoOptions) -> None:
         return
     schema = read_schema(file) if file.is_file() and is_ours(file) else None
     if (schema or "").startswith("lensshift-lens-field"):
-        from lensshift.cli.lens_field import say_field
+        from lensshift.cli.lens_report import say_field
         from lensshift.io import load_lens_field
 
         current.result |= {"file": file, "kind": "lens field"}

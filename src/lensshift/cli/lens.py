@@ -9,8 +9,8 @@ from typing import Literal
 
 from lensshift.cli import optics, outputs
 from lensshift.cli.lens_design import budget, check_out, optimise, tolerance, write_lens
-from lensshift.cli.lens_field import field as lens_field
 from lensshift.cli.lens_refine import refine
+from lensshift.cli.lens_report import field as lens_field
 from lensshift.cli.lens_report import report
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb, verb_group

@@ -316,7 +316,7 @@ def _preview(burst: Burst, result: Reconstruction, settings: dict[str, Any], pat
 def _plan(asked: ReconstructOptions) -> list[Path]:
     """Decide all names, and complain before the work rather than after it."""
     from lensshift.io.export import is_fits
-    from lensshift.io.fits_wcs import astropy_fits
+    from lensshift.io.fits_file import astropy_fits
 
     result = asked.out or inputs.beside(asked.burst, f"_x{asked.scale}.nc")
     other, exports = result.suffix.lower() in EXPORT_SUFFIXES, asked.export or []

@@ -18,7 +18,7 @@ from lensshift.core.settings import parse_json
 from lensshift.io.container_writer import GROUP
 from lensshift.io.reading import check_held, check_unpacked, reading, require_file
 
-WRITTEN = "written"  # of `io.piecewise_file`
+WRITTEN = "written"  # of `io.sequence_file`
 OTHERS = (
     "load_image_stack reads images, and arrays of other programs from NPZ and HDF5: amplitude, "
     "distance_m, valid ..."

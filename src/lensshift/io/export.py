@@ -13,7 +13,7 @@ from lensshift.core.atomic import written_whole
 from lensshift.core.intrinsics import Pinhole, points_m
 from lensshift.core.types import FRAME_FIELDS, Burst, Reconstruction
 from lensshift.io.container_writer import to_json
-from lensshift.io.fits_wcs import astropy_fits, told_wcs
+from lensshift.io.fits_file import astropy_fits, told_wcs
 from lensshift.io.image_file import FITS_SUFFIXES, SOFTWARE, TIFF_SUFFIXES
 from lensshift.io.intrinsics_fields import intrinsics_fields
 from lensshift.io.picture_layers import PictureLayer, picture_layers

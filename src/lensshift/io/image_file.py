@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, warn_quality
 from lensshift.io.container_reader import OTHERS, is_hdf5
-from lensshift.io.fits_frames import load_fits, one_stack
+from lensshift.io.fits_file import load_fits, one_stack
 from lensshift.io.reading import (
     CONTAINER_SUFFIXES,
     RECORDING_SUFFIXES,

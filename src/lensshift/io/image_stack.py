@@ -16,7 +16,7 @@ from lensshift.core.settings import parse_json
 from lensshift.core.types import Burst, OffsetSource
 from lensshift.io import image_file
 from lensshift.io.container_reader import is_ours
-from lensshift.io.fits_wcs import wcs_cards
+from lensshift.io.fits_file import wcs_cards
 from lensshift.io.foreign_arrays import chosen, has_names, load_named_arrays
 from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields
 from lensshift.io.offset_table import OffsetTable, load_offsets

@@ -22,8 +22,7 @@ from lensshift.core.intrinsics import Intrinsics, Pinhole
 from lensshift.live.controls import box_of, choices, control
 from lensshift.live.gate import Gate
 from lensshift.live.measure import beside, edge_curve, shift_error
-from lensshift.live.message import message, packed_layers
-from lensshift.live.picture import Picture, residual_over_noise
+from lensshift.live.picture import Picture, message, packed_layers, residual_over_noise
 from lensshift.live.recording import save_snapshot
 from lensshift.live.worker import FAILURES, Live
 

@@ -20,9 +20,8 @@ from lensshift.core.arrays import Array
 from lensshift.core.errors import QualityWarning, about, of_extra
 from lensshift.core.types import Burst, Frame, Reconstruction
 from lensshift.io.burst_file import Recording, open_recording
-from lensshift.io.piecewise_file import PiecewiseFile
 from lensshift.io.result_file import CHANNELS
-from lensshift.io.sequence_file import begin_sequence, of_sequence
+from lensshift.io.sequence_file import PiecewiseFile, begin_sequence, of_sequence
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.reconstruction.stream import Pace, stream
 

@@ -380,7 +380,7 @@ def _settings(
     request: Request,
     choice: Choice,
 ) -> dict[str, Any]:
-    cards = burst.meta.get("wcs")  # of the first frame, see `io.fits_wcs`
+    cards = burst.meta.get("wcs")  # of the first frame, see `io.fits_file`
     sky = {"wcs": {"cards": cards, "offset_px": burst.offset_px[0].tolist()}} if cards else {}
     return {
         "blur": seen["blur"],

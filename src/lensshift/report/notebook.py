@@ -37,9 +37,8 @@ def figure_of(value: Any) -> Figure:
     TypeError
         If nothing is known about how to draw it.
     """
-    from lensshift.report.cloud import cloud_figure
     from lensshift.report.edges import edge_figure
-    from lensshift.report.result import estimate_figure, result_figure
+    from lensshift.report.result import cloud_figure, estimate_figure, result_figure
 
     if isinstance(value, Burst):
         return _burst_figure(value)

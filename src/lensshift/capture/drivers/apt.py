@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.capture.drivers.apt_axis import AptAxis
-from lensshift.capture.drivers.apt_link import find_port
+from lensshift.capture.drivers.apt_cube import find_port
 from lensshift.capture.drivers.apt_settings import AptSettings
 from lensshift.capture.rig import OnHoming, goal_within
 from lensshift.core.arrays import Floats

@@ -12,8 +12,7 @@ from contextlib import suppress
 from typing import Any
 
 from lensshift.capture.drivers import apt_codec as apt
-from lensshift.capture.drivers.apt_codec import Bits, Id, Message
-from lensshift.capture.drivers.apt_framer import Framer
+from lensshift.capture.drivers.apt_codec import Bits, Framer, Id, Message
 from lensshift.capture.drivers.apt_settings import Z8_COUNTS_PER_MM
 from lensshift.capture.drivers.receiver import counter_steps
 from lensshift.capture.emulators.apt_messages import ADDRESSES, SIZES, More, records

@@ -1,4 +1,4 @@
-// The bytes of lensshift.live.message: a JSON head, then layers of 16 bits a pixel.
+// The bytes of lensshift.live.picture: a JSON head, then layers of 16 bits a pixel.
 
 export function unpacked(buffer) {
   const length = new DataView(buffer).getUint32(0, true);

@@ -17,15 +17,16 @@ from lensshift.pipeline.paper.bench import SNR, Response, calibrated_response
 from lensshift.pipeline.paper.beyond import (
     ERRORS_PX,
     PATTERNS,
+    Strip,
     error_row,
     mean_rows,
     pattern_row,
     shift_claim,
+    study_strip,
 )
 from lensshift.pipeline.paper.box_claims import BoxRun, box_claims, response_rows, take_boxes
 from lensshift.pipeline.paper.claims import CRITERIA, Claim
 from lensshift.pipeline.paper.edge_claims import EdgeRun, edge_claims, take_edge
-from lensshift.pipeline.paper.gradient_question import Strip, study_strip
 from lensshift.pipeline.paper.gratings import GRATINGS_LPMM, GratingRun, take_grating
 from lensshift.pipeline.paper.optics_claims import LensResult, optics_claims, study_lens
 from lensshift.pipeline.paper.page import write_page
