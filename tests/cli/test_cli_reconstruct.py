@@ -297,7 +297,7 @@ def test_complex_result_has_a_preview_but_no_picture(
 
 
 def test_photometric_goes_for_unknown_shifts_as_well(call: Call, tmp_path: Path) -> None:
-    """Frames of other exposures, which have no shifts in common as they are."""
+    """Frames of other exposures, which have no shifts in common as they are; they show it, too."""
     rows, cols = np.mgrid[:96, :128] / 2.0
     waves = np.random.default_rng(2).uniform(-0.6, 0.6, (12, 2))
     scene = 100 + sum(9 * np.cos(2 * np.pi * (a * rows + b * cols) / 2 + 5 * a) for a, b in waves)
@@ -310,12 +310,12 @@ def test_photometric_goes_for_unknown_shifts_as_well(call: Call, tmp_path: Path)
     )
     frames += np.random.default_rng(3).normal(0, 0.05, frames.shape)
     np.save(tmp_path / "stack.npy", frames * np.array([1, 1, 0.4, 1])[:, None, None])
-    plain = call("reconstruct", tmp_path / "stack.npy", "--json")
-    assert "the brightness of the frames differs" in plain.stderr
-    done = call("reconstruct", tmp_path / "stack.npy", "--photometric", "--json")
-    assert "brightness of the frames differs" not in done.stderr
-    found = np.array(json.loads(done.stdout)["offset_px"])
-    np.testing.assert_allclose(found - found[0], np.array(moved) / 2, atol=0.02)
+    for asked, said in (([], True), (["--photometric"], False)):
+        done = call("reconstruct", tmp_path / "stack.npy", *asked, "--json")
+        assert ("the light of the frames differs" in done.stderr) == said
+        assert "brightness of the frames differs" not in done.stderr
+        found = np.array(json.loads(done.stdout)["offset_px"])
+        np.testing.assert_allclose(found - found[0], np.array(moved) / 2, atol=0.02)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.registration import blocks, likely_shifts, phase_correlation, register
 from lensshift.registration.blocks import blocks_of, likely_where_telling, scatter_over_blocks
+from lensshift.registration.light import gains_of_light
 from lensshift.registration.likelihood import ShiftFit, likely_steps, with_given
 from lensshift.scene import four_boxes, siemens_star_card
 
@@ -359,9 +360,58 @@ def test_frames_that_are_not_asked_for_spoil_nothing() -> None:
     assert np.all(found.offset_sigma_px[0] > 1.0)
     assert np.all(found.offset_sigma_px[1] == 0.0)
     stack[5] = 3 * stack[5]
+    brighter = Burst.from_arrays(stack, pitch_mm=PITCH_MM)
     with pytest.warns(QualityWarning) as said:
-        register(Burst.from_arrays(stack, pitch_mm=PITCH_MM), frames=[1, 2, 3, 4, 5])
+        register(brighter, frames=[1, 2, 3, 4, 5])
+    assert "that of frame 5 is 199.9 % more" in str(said[0].message)
+    with pytest.warns(QualityWarning) as said:
+        register(brighter, frames=[1, 2, 3, 4, 5], photometric=False)
     assert "in frame 5. Divide" in str(said[0].message)
+
+
+@pytest.mark.parametrize("kind", ["four boxes", "random", "phasors"])
+@pytest.mark.parametrize("share", [0.02, 0.3])
+def test_light_that_drifts_is_seen_and_allowed_for(kind: str, share: float) -> None:
+    """As well as where it is told of; and nothing is allowed for where the light is even."""
+    for seed in (0, 1):
+        burst, true_px = taken(scene(kind if kind != "phasors" else "random"), seed=seed)
+        frames = burst.amplitude
+        if kind == "phasors":
+            frames = frames * np.exp(1j * frames)
+        gain = 1.0 + share * np.random.default_rng(seed).permutation(np.linspace(0, 1, len(frames)))
+        with warnings.catch_warnings(action="error"):
+            even = register(burst_of(frames))
+        drifting = burst_of(frames * gain[:, None, None])
+        with pytest.warns(QualityWarning, match="the light of the frames differs") as said:
+            found = register(drifting)
+        dark, bright = (int(pick(gain)) for pick in (np.argmin, np.argmax))
+        named = str(said[0].message)
+        assert f"that of frame {bright} is" in named
+        assert f"more than that of frame {dark}" in named
+        told_share = float(named.split(" is ")[1].split(" %")[0]) / 100
+        assert told_share == pytest.approx(share, rel=0.15)
+        errors_px = [
+            np.sqrt(np.mean((one.offset_px - true_px) ** 2))
+            for one in (even, found, register(drifting, photometric=True))
+        ]
+        assert errors_px[1] == errors_px[2]
+        assert errors_px[1] < 1.3 * errors_px[0] + 0.002
+
+
+def test_what_moves_and_what_is_noise_is_no_light() -> None:
+    rng = np.random.default_rng(12)
+    burst, _ = taken(scene("demo"), seed=3)
+    frames = burst.amplitude.copy()
+    for number, frame in enumerate(frames):
+        frame[4:12, 10 + 6 * number : 22 + 6 * number] = 0.9
+    noise = 0.3 * np.std(frames) * rng.standard_normal((9, *frames.shape[1:]))
+    offset_px = rng.uniform(-1, 1, (9, 2))
+    assert gains_of_light(frames, burst.offset_px) is None
+    assert gains_of_light(waves(offset_px, frames.shape[1:]) + 5 + noise, offset_px) is None
+    assert (
+        gains_of_light(1.02 ** np.arange(4)[:, None, None] * burst.amplitude, burst.offset_px)
+        is not None
+    )
 
 
 @pytest.mark.parametrize("frames", [[0, 9], [-1, 0, 1], [1, 1, 2]])

@@ -22,7 +22,10 @@ class _CalibrateOptions:
         None, "From `lens field`: what the scan adds to it goes to SCAN_lens_field.nc beside OUT."
     )
     report: Path | None = option(None, "Also write an HTML page.")
-    photometric: bool = option(False, "Allow frames to differ by a factor and a constant.")
+    photometric: bool | None = option(
+        None, "Allow frames to differ by a factor and a constant, or not; else if they show it.",
+        "--photometric/--no-photometric",
+    )  # fmt: skip
     no_psf: bool = option(False, "Do not measure the blur.")
     noise: float = option(0.005, "Noise of a pixel / full scale, for the loss in dB.", min=1e-6)
 

@@ -175,7 +175,7 @@ def _located(
     known: dict[str, Any] = {}
     lens_field, calibration = asked.lens_field, asked.calibration
     if burst.offset_source == "unknown" and calibration is None and len(frames or "all") > 1:
-        told = picked(asked, "motion photometric") | {"frames": frames}
+        told = {"motion": asked.motion, "photometric": asked.photometric or None, "frames": frames}
         burst = with_shifts(current, burst, **told)
     elif asked.motion != "auto":
         raise ValueError("--motion is for unknown shifts; lensshift register finds others anew")

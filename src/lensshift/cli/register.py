@@ -26,7 +26,10 @@ class _RegisterOptions:
         "auto", "What the shifts are found from; auto: phasors where the burst tells them."
     )
     reference: int = option(0, "Frame whose offset is kept.", min=0)
-    photometric: bool = option(False, "Allow frames to differ by a factor and a constant.")
+    photometric: bool | None = option(
+        None, "Allow frames to differ by a factor and a constant, or not; else if they show it.",
+        "--photometric/--no-photometric",
+    )  # fmt: skip
     use_given: bool = option(False, "Weigh the burst's own offsets by their errors.")
     frames: methods.FramesOption = None
     stack: inputs.StackOptions = field(default_factory=inputs.StackOptions)

@@ -40,7 +40,7 @@ class RigCalibration:
 def calibrate_rig(
     burst: Burst,
     *,
-    photometric: bool = False,
+    photometric: bool | None = None,
     over_sensor: bool = True,
     lens_field: LensField | None = None,
     psf: bool = True,

@@ -15,6 +15,7 @@ from lensshift.core.motion import StageMap
 from lensshift.core.types import Burst
 from lensshift.registration.blocks import filled
 from lensshift.registration.field import fit_field
+from lensshift.registration.light import light_allowed_for
 from lensshift.registration.likelihood import likely_shifts, with_given
 from lensshift.registration.phase import phase_shifts, unlike_frames
 from lensshift.registration.picture import alternate, prediction_error
@@ -62,7 +63,7 @@ def fit_scan(
     burst: Burst,
     *,
     rest_mm: Floats | None = None,
-    photometric: bool = False,
+    photometric: bool | None = None,
     registered: bool = False,
     over_sensor: bool = True,
     lens_field: LensField | None = None,
@@ -82,7 +83,7 @@ def fit_scan(
         `stage_commanded_mm` tells the direction of approach (else `stage_mm`), `time_s` the drift
         (else none is fitted)
     rest_mm : where the offset is to be 0, by default the middle of the scan
-    photometric : whether frames may differ by a factor and a constant
+    photometric : whether frames may differ by a factor and a constant; None: if they show it
     registered : whether the offsets of the burst are registered already
     over_sensor : whether the shift may vary over the sensor
     lens_field : what the optics say of how it varies; the scan says what is different
@@ -177,7 +178,7 @@ def _refined(field: LensField, bent: Floats, matrix: Floats) -> tuple[LensField,
     return field.corrected((bent - middle) @ np.linalg.inv(whole)), whole
 
 
-def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Mask, Floats]:
+def _registered(burst: Burst, *, photometric: bool | None) -> tuple[Burst, Mask, Floats]:
     """Return the scan with registered offsets, without frames of another scene.
 
     Also which frames [frame] are left, and the covariance [2 frame, 2 frame] of their offsets.
@@ -192,8 +193,9 @@ def _registered(burst: Burst, *, photometric: bool) -> tuple[Burst, Mask, Floats
         left = burst.select(np.flatnonzero(kept).tolist())
         burst, _, covariance_px2 = _registered(left, photometric=photometric)
         return burst, kept, covariance_px2
-    starts = _starts(burst, phase_px)
-    found = likely_shifts(frames, valid, _best_of(starts, whole, valid), photometric=photometric)
+    gain, own = light_allowed_for(whole, phase_px, photometric, range(burst.frame_count))
+    start_px = _best_of(_starts(burst, phase_px), whole / gain, valid)
+    found = likely_shifts(frames / gain, valid, start_px, photometric=own)
     # Where the frames tell nothing, a shift is known to be some pixels at most.
     found = with_given(found, burst.offset_px - burst.offset_px[0], None, said=False)
     burst = replace(

@@ -18,6 +18,7 @@ from lensshift.core.types import Burst, expect_burst
 from lensshift.registration import blocks
 from lensshift.registration.affine import affine_motion, turning
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
+from lensshift.registration.light import light_allowed_for
 from lensshift.registration.likelihood import UNKNOWN_PX, USUAL_SHIFT_PX, ShiftFit, with_given
 from lensshift.registration.phase import phase_fit, phase_shifts, rival_shifts, unlike_frames
 from lensshift.registration.picture import LEAST_FRAMES, LEAST_PREDICTING, better_shifts
@@ -32,6 +33,10 @@ POOR_SIGMA_PX = 0.05  # more than twice the budget of a calibration
 # Phase correlation knows the shift to about this much; given offsets nearer to it are kept.
 AGREES_PX = 0.5
 UNLIKE = "shows nothing of the scene of most others"
+_SEARCH: dict[Method, Run] = {
+    "auto": blocks.likely_where_telling,
+    "gradient": gradient_shifts,
+}
 _CLEARLY_BETTER = 0.7  # noise that one fit leaves over that of the other
 
 
@@ -42,7 +47,7 @@ def register(
     reference: int = 0,
     channel: Channel = "auto",
     motion: Motion = "auto",
-    photometric: bool = False,
+    photometric: bool | None = None,
     use_given: bool = False,
     frames: Sequence[int] | None = None,
 ) -> Burst:
@@ -66,7 +71,8 @@ def register(
     motion : "affine": frames also turn, grow and shear against the reference, which `reconstruct`
         then allows for (method "auto", four frames and more); "auto": if they show that they do;
         "shift": never
-    photometric : whether frames may differ by a factor and an additive constant
+    photometric : whether frames may differ by a factor and an additive constant; None: if they
+        show that the light is another one
     use_given : whether the burst's own offsets count as measurements with `offset_sigma_px`
         (method "auto" only)
     frames : numbers of the frames whose shifts are found, by default all; the others are left out
@@ -87,8 +93,8 @@ def register(
     QualityWarning
         If a shift has a standard error above 0.05 px or may be another one (scenes that repeat,
         without planned offsets), the frames turn or grow though nobody said so, the search
-        did not settle, or a frame has less than half of the valid pixels of others or shows
-        another scene.
+        did not settle, the light of frames differs, or a frame has less than half of the valid
+        pixels of others or shows another scene.
     """
     _check(burst, method, motion, reference, use_given)
     images = frames_of(burst, channel)
@@ -106,26 +112,26 @@ def register(
             motion=motion, photometric=photometric, use_given=use_given,
             frames=kept[~foreign].tolist(),
         )  # fmt: skip
-    _say_doubts(burst, channel, valid, kept, photometric=photometric)
+    asked = photometric if channel != "distance" else bool(photometric)
+    gain, own_light = light_allowed_for(whole, phase_px, asked, kept)
+    images, whole = images / gain, whole / gain
+    _say_doubts(burst, channel, valid, kept, photometric=own_light)
     given_px = burst.offset_px - burst.offset_px[reference]
     known, affine, factor = bool(np.any(given_px)), None, 1.0
     if method == "phase":
         fit = phase_fit(whole, valid, phase_px, reference)
     else:
-        run: Run = partial(gradient_shifts, reference=reference, photometric=photometric)
-        if method == "auto":
-            run = partial(blocks.likely_where_telling, reference=reference, photometric=photometric)
-        elif np.iscomplexobj(images):
+        if method == "gradient" and np.iscomplexobj(images):
             images = np.abs(images)
+        run: Run = partial(_SEARCH[method], reference=reference, photometric=own_light)
         fit = _from_best_start(run, images, valid, given_px, phase_px, keep_given=use_given)
         if method == "gradient":
             fit = _widened(run, images, valid, fit)
         else:
-            told = burst.offset_sigma_px if use_given else None
-            told_px = None if told is None else np.hypot(told, told[reference])  # of differences
-            alike = _alike(whole, fit, photometric)
+            told_px = _errors_of_differences(burst, reference) if use_given else None
+            alike = _alike(whole, fit, own_light)
             fit = better_shifts(fit, alike, valid, reference)
-            if apart := _scatter_of_few(images, valid, fit, reference, photometric):
+            if apart := _scatter_of_few(images, valid, fit, reference, own_light):
                 factor = apart.factor
                 fit = replace(fit, covariance_px2=apart.widened(fit.covariance_px2))
             fit = with_given(fit, given_px, told_px, said=known)
@@ -302,6 +308,12 @@ def _from_best_start(
         return run(frames, valid, phase_px)
     first, second = run(frames, valid, given_px), run(frames, valid, phase_px)
     return second if second.noise_sigma < _CLEARLY_BETTER * first.noise_sigma else first
+
+
+def _errors_of_differences(burst: Burst, reference: int) -> Shifts | None:
+    """Return what errors the burst says that its offsets to one frame have."""
+    told = burst.offset_sigma_px
+    return None if told is None else np.hypot(told, told[reference])
 
 
 def _alike(frames: Array, fit: ShiftFit, photometric: bool) -> Array:

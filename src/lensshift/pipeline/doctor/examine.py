@@ -240,7 +240,7 @@ def _calibrated(
     done.files.append(scan_file)
     say("calibrating", None)
     with warnings.catch_warnings(record=True, action="always", category=QualityWarning) as doubts:
-        done.calibration = calibrate_rig(scan, photometric=done.view.jumps)
+        done.calibration = calibrate_rig(scan, photometric=done.view.jumps or None)
     said = dict.fromkeys(str(one.message) for one in doubts)
     done.findings += [Finding(Level.DOUBT, "calibration", one) for one in said]
     save_calibration(done.calibration.calibration, calibration_file)
