@@ -192,6 +192,13 @@ def test_large_sensors_are_done_in_tiles(monkeypatch: pytest.MonkeyPatch) -> Non
     np.testing.assert_allclose(tiled.truth.distance_m, whole.truth.distance_m, rtol=1e-9)
 
 
+def test_a_shift_may_leave_but_a_corner_in_view() -> None:
+    """Tiles that only a frame far away needs are beyond the reach of the others."""
+    camera = make_camera(Grid((16, 64), (0.155, 0.155)))
+    capture = simulate_tof(wall(), camera, [[0.0, 0.0], [15.5, 60.0]], scale=1, **EXACT)
+    np.testing.assert_allclose(capture.burst.distance_m, 3.5, atol=5e-3)
+
+
 def test_modulation_of_the_burst_is_that_of_the_camera() -> None:
     assert still(wall(), make_camera()).burst.modulation_hz == HZ
 

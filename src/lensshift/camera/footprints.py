@@ -99,6 +99,8 @@ def see(
     for number, (tile, (cells, sums)) in enumerate(zip(tiles, cast, strict=True), start=1):
         for one, image in zip(footprints, images, strict=True):
             where = (tile.pixels(one, 0, shape[0]), tile.pixels(one, 1, shape[1]))
+            if not image[where].size:  # a tile of the margin that other images need
+                continue
             if isinstance(one.blur, SpotBlur):
                 squares = sums[one.side_px * samples]
                 _add_through_spots(squares, one, one.blur, tile, where, image[where])
@@ -201,8 +203,6 @@ def _add_through_spots(
 
     side, points = one.side_px * tile.samples, blur.per_px // one.per_px
     centre_px = [one.centres_px(part) for part in where]
-    if not all(len(centres) for centres in centre_px):
-        return
     begin = np.array([  # in cells from the first node
         (centre_px[axis][0] - 0.5 * one.side_px + 0.5) * tile.samples
         - tile.first[axis]
