@@ -224,3 +224,23 @@ def test_wires_thinner_than_a_cell_give_their_light(seed: int) -> None:
         found.append(abs((other - one).sum() / bare.amplitude.mean() * 0.5 / 16 / expected - 1.0))
     assert np.median(found) < 0.02
     assert np.percentile(found, 80) < 0.05
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5])
+def test_wires_along_rows_or_columns_lie_between_no_rays(turn: float) -> None:
+    """Of cards of half a cell to a whole one wherever they lie: their area within 10 %."""
+    rng = np.random.default_rng(int(2 * turn))
+    camera, back = make_camera(Grid((12, 14), (0.1, 0.1))), Plane(centre_m=(0.0, 0.0, 4.0))
+    bare = still(Scene((), back), camera).burst
+    for width_px in rng.uniform(0.5, 1.0, 10) / 16:
+        card = Rectangle(
+            centre_m=(*rng.uniform(-1e-4, 1e-4, 2), 2.0),
+            size_m=(8e-4, 1e-4 * width_px),
+            turn_rad=(0.0, 0.0, np.pi * turn),
+            reflectance=0.8,
+        )
+        wired = still(Scene((card,), back), camera).burst
+        one, other = (phasors(each.amplitude[0], each.distance_m[0]) for each in (bare, wired))
+        expected = 8.0 * width_px * (phasors(0.8 / 4, 2.0) - phasors(0.5 / 16, 4.0))
+        seen = (other - one).sum() / bare.amplitude.mean() * 0.5 / 16
+        assert abs(seen / expected - 1.0) < 0.1
