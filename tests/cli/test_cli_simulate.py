@@ -1,6 +1,7 @@
 """`lensshift simulate` and `lensshift run CONFIG`: what they write and what they refuse."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -119,3 +120,31 @@ def test_the_built_in_experiment_can_be_printed_and_run(call: Call, tmp_path: Pa
     from lensshift.pipeline import default_experiment, load_experiment
 
     assert load_experiment(tmp_path / "mine.toml").camera == default_experiment().camera
+
+
+def test_info_says_what_simulate_reads_and_writes(call: Call, small: Path, tmp_path: Path) -> None:
+    out, phases, scene = (tmp_path / name for name in ("b.nc", "raw.npz", "scene.toml"))
+    done = call("simulate", "slanted_edge", "--camera", small, "-o", out, "--phases", phases)
+    assert done.exit_code == 0, done.output
+    truth = tmp_path / "b.truth.npz"
+    told = json.loads(call("info", truth, "--json").stdout)
+    assert told["arrays"]["sharp_distance_m"] == [22, 26]
+    said = call("info", truth)
+    assert said.exit_code == 0
+    assert "holds the truth of a simulation" in said.stdout
+    assert re.search(r"flying_in_frames +bool +4 x 11 x 13 +0 to ", said.stdout)
+    assert "electrons_per_count" in call("info", phases).stdout
+    assert call("info", phases, "--key", "nothing").exit_code == 1
+    scene.write_text('[background]\nshape = "plane"\ncentre_m = [0, 0, 3]\n', encoding="utf-8")
+    assert "scene, 1 shapes, for `lensshift simulate`" in call("info", scene).stdout
+    assert "experiment, " in call("info", small).stdout
+    scene.write_text('[background]\nshape = "plain"\n', encoding="utf-8")
+    assert "expected shape of plane" in call("info", scene).stderr
+
+
+def test_a_truth_is_no_burst(call: Call, small: Path, tmp_path: Path) -> None:
+    call("simulate", "slanted_edge", "--camera", small, "-o", tmp_path / "b.nc")
+    for more in ((), ("--key", "amplitude")):
+        told = call("reconstruct", tmp_path / "b.truth.npz", *more, "-o", tmp_path / "r.nc")
+        assert told.exit_code == 1
+        assert "the truth of a simulation, no frames; expected the burst" in told.stderr

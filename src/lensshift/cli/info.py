@@ -14,6 +14,7 @@ from lensshift.cli.reconstruct import say_channels
 from lensshift.cli.register import say_turns
 from lensshift.cli.session import Session
 from lensshift.cli.verbs import argument, option, verb
+from lensshift.core.errors import DataError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, slots=True)
 class _InfoOptions:
     file: Path | None = argument(
-        "Burst, reconstruction, lens field, image stack, or rig file (.toml).", default=None
+        "Burst, reconstruction, lens field, image stack, scene, experiment or rig (.toml).",
+        default=None,
     )
     stack: StackOptions = field(default_factory=StackOptions)
     devices: bool = option(False, "List the serial ports of this computer.")
@@ -54,9 +56,7 @@ def info(current: Session, asked: _InfoOptions) -> None:
             raise typer.BadParameter("Missing argument: a file, or --devices")
         return
     if file.suffix.lower() == ".toml":
-        from lensshift.cli.devices import say_rig
-
-        say_rig(current, file)
+        _say_toml(current, file)
         return
     schema = read_schema(file) if file.is_file() and is_ours(file) else None
     if (schema or "").startswith("lensshift-lens-field"):
@@ -79,6 +79,25 @@ def info(current: Session, asked: _InfoOptions) -> None:
         _say_stack(current, file, asked.stack, heading)
     else:
         _say_burst(current, load_input_burst(file, asked.stack), heading)
+
+
+def _say_toml(current: Session, file: Path) -> None:
+    """Say what a scene or an experiment is for, or what a rig answers."""
+    from lensshift.cli.devices import say_rig
+    from lensshift.core.settings import parse_toml, read_text
+    from lensshift.pipeline.experiment_file import load_experiment
+    from lensshift.scene import load_scene
+
+    tables = parse_toml(read_text(file), file).keys()
+    if tables & {"object", "background"}:
+        kind, said = "scene", f"{len(load_scene(file).shapes)} shapes, for `lensshift simulate`"
+    elif tables & {"scene", "burst", "reconstruction"}:
+        kind, said = "experiment", f"{load_experiment(file).name}, for `lensshift run`"
+    else:
+        say_rig(current, file)
+        return
+    current.result |= {"file": file, "kind": kind}
+    current.say(f"{file}: {kind}, {said}")
 
 
 def _say_burst(current: Session, burst: Burst, heading: str) -> None:
@@ -117,7 +136,13 @@ def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) 
     """Describe the images, also phasors of which nobody told the frequencies yet."""
     from lensshift.io.image_stack import load_stack_fields
 
-    fields = load_stack_fields(file, key=stack.key, frame_axis=FRAME_AXES[stack.frame_axis])
+    try:
+        fields = load_stack_fields(file, key=stack.key, frame_axis=FRAME_AXES[stack.frame_axis])
+    except DataError as error:
+        if stack.key is not None or error.field != "key":
+            raise
+        _say_arrays(current, file, error.problem)
+        return
     frames = fields["amplitude"]
     if frames.ndim == 3 or stack.modulation_hz is not None or "modulation_hz" in fields:
         _say_burst(current, load_input_burst(file, stack), heading)
@@ -125,6 +150,19 @@ def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) 
     current.say(heading)
     _say_frames(current, frames, fields.get("distance_m"), fields.get("valid"))
     current.say("modulation  not told: --modulation-hz, once for each frequency")
+
+
+def _say_arrays(current: Session, file: Path, problem: str) -> None:
+    """List the arrays of a file that do not tell which of them are frames."""
+    from lensshift.io.foreign_arrays import load_named_arrays
+
+    arrays = load_named_arrays(file)
+    current.result |= {"kind": "arrays", "arrays": {n: v.shape for n, v in arrays.items()}}
+    current.say(f"{file}: {problem}")
+    for name, values in arrays.items():
+        shape, numbers = " x ".join(map(str, values.shape)), values.dtype.kind in "biuf"
+        limits = _range_text(_finite_range(values, None)) if numbers else ""
+        current.say(f"  {name:<20} {values.dtype!s:<8} {shape:<16} {limits}".rstrip())
 
 
 def _say_frames(
@@ -149,7 +187,6 @@ def _say_frames(
 
 
 def _say_sequence(current: Session, file: Path) -> None:
-    from lensshift.core.errors import DataError
     from lensshift.io import load_window
     from lensshift.io.sequence_file import sequence_numbers
 

@@ -22,6 +22,7 @@ from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.reading import reading
 
+_OF_TRUTH = {"sharp_amplitude", "flying_in_frames"}  # what `lensshift simulate` writes beside
 FRAME_KEYS = ("amplitude", "frames", "LR")
 _NUMBER = re.compile("-?[0-9]+")  # in a name
 _GREATEST = 1e15  # beyond it sums of squares leave single precision
@@ -232,6 +233,9 @@ def _usable(frames: NDArray[Any], path: Path, field: str = "") -> NDArray[Any]:
 
 def _named_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[str, Any]:
     arrays = load_named_arrays(path, (*_PLAIN, *_SCALARS, *NAMES))
+    if arrays.keys() >= _OF_TRUTH:
+        problem = "holds the truth of a simulation, no frames; expected the burst beside it"
+        raise DataError(problem, field="key", source=path)
     if key is None:
         arrays = _joined(arrays)
     name = _frames_name(path, arrays, key)
