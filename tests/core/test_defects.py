@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
 from lensshift import Burst, QualityWarning, reconstruct, register
-from lensshift.core.defects import stuck_pixels
+from lensshift.core.defects import not_measured, stuck_pixels
 
 SHAPE = (23, 34)
 FOUR_PX = np.array([(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)])
@@ -96,3 +96,37 @@ def test_defects_pull_no_shifts_and_are_no_part_of_the_picture() -> None:
     assert said[0].filename == __file__
     right = reconstruct(Burst.from_arrays(clean, offset_px=FOUR_PX, pitch_mm=0.1), 2).amplitude
     assert np.sqrt(np.mean((with_defects.image - right.image) ** 2)) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_phasor_without_light_is_found_however_bright_others_are(seed: int) -> None:
+    light = 0.2 * soft_scene(seed, FOUR_PX) + 1.0
+    light[:, :, 24:] += 40.0
+    assert stuck_pixels(light, phasors=True) is None
+    light[:, 8, 11] = 0.01
+    found = stuck_pixels(light, phasors=True)
+    assert found is not None
+    assert np.argwhere(found).tolist() == [[8, 11]]
+
+
+def test_a_phasor_of_0_amid_light_was_not_measured() -> None:
+    lights = [soft_scene(seed, FOUR_PX) + 1.0 for seed in range(2)]
+    valid = np.ones(lights[0].shape, bool)
+    assert not not_measured(lights, valid).any()
+    lights[1][2, 5:8, 5:8] = 0.0  # the other frequency shows light there
+    lights[0][1, 9, 9] = 0.0
+    found = np.zeros(valid.shape, bool)
+    found[2, 5:8, 5:8] = found[1, 9, 9] = True
+    np.testing.assert_array_equal(not_measured(lights, valid), found)
+    black = lights[0].copy()
+    black[:, 5:8, 5:8] = 0.0  # which of one frequency a surface may be
+    assert np.argwhere(not_measured([black], valid)).tolist() == [[1, 9, 9]]
+    coarse = np.rint(2.0 * soft_scene(0, FOUR_PX, 0.4))  # where some are rounded off to 0
+    assert np.any(coarse == 0)
+    assert not not_measured([coarse, np.rint(3.0 * soft_scene(1, FOUR_PX))], valid).any()
+
+
+def test_no_light_at_all_is_no_defect() -> None:
+    dark, valid = np.zeros((4, *SHAPE)), np.ones((4, *SHAPE), bool)
+    valid[:, 0] = False
+    assert not not_measured([dark], valid).any()

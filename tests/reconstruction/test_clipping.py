@@ -172,6 +172,15 @@ def test_points_of_light_are_looked_for_only_where_the_frames_lie_apart() -> Non
         without_stuck(replace(still, offset_px=NINE_PX))
 
 
+def test_complex_frames_have_defects_too() -> None:
+    y = seen(3) * np.exp(1j * np.linspace(0.0, 3.0, SHAPE[1]))
+    clean = Burst.from_arrays(y, offset_px=NINE_PX, pitch_mm=0.1)
+    assert without_stuck(clean) is clean
+    y[:, 12, 17] = 4.0j
+    with pytest.warns(QualityWarning, match=r"left out as defective: 1, at .*\(12, 17\)"):
+        without_stuck(Burst.from_arrays(y, offset_px=NINE_PX, pitch_mm=0.1))
+
+
 @pytest.mark.parametrize("axis", [1, 2])
 def test_a_line_of_pixels_with_an_offset_is_left_out(axis: int) -> None:
     for seed in range(3):

@@ -406,6 +406,24 @@ def test_frequencies_in_the_wrong_order_are_told(hz: tuple[float, ...]) -> None:
     assert said[0].filename == __file__
 
 
+@pytest.mark.parametrize("hz", [PAIR_HZ, (60e6, 80e6)])
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("light", [0.0, 4.0])
+def test_pixels_that_one_frequency_misses_take_no_turn(
+    hz: tuple[float, ...], number: int, light: float
+) -> None:
+    """Whichever frequency it is, and whether it says nothing there or always the same."""
+    burst = wall(hz, noise=2e-3)
+    z = np.array(burst.phasors)
+    for at in ((2, 3), (4, 9), (6, 5)):
+        z[number, :, *at] = light * np.exp(2.0j * (at[0] + 1))
+    spoiled = Burst.from_arrays(z, offset_px=OFFSETS, pitch_mm=0.1, modulation_hz=hz)
+    with pytest.warns(QualityWarning, match="left out as") as said:
+        found = reconstruct(spoiled)["distance"].image
+    assert "(2, 3), (4, 9), (6, 5)" in str(said[0].message)
+    np.testing.assert_allclose(found, 6.2, atol=0.05)
+
+
 def test_light_that_changes_between_frames_changes_no_turn() -> None:
     """Gain and bias of the phasors say nothing of the distances that tell the turn."""
     scale, far_m = PhaseScale(20e6, 9.0, True, "frames"), np.full((6, 8), 9.1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,7 +12,7 @@ from lensshift.cli import images, outputs
 from lensshift.cli.images import Measured
 from lensshift.cli.session import Session, picked
 from lensshift.cli.verbs import argument, option, verb
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 
 if TYPE_CHECKING:
     from lensshift.core.arrays import Array
@@ -91,7 +90,7 @@ def _distance_image(path: Path, pitch_mm: str | None, key: str | None, frame: in
     found = images.measured_image(path, pitch_mm, key=key, frame=frame, distances=True)
     known = found.values[np.isfinite(found.values)]
     if doubt := doubt_about_distance(float(np.median(known)) if known.size else None):
-        warnings.warn(f"{path}: {doubt}", QualityWarning, stacklevel=2)
+        warn_quality(f"{path}: {doubt}", 2)
     return found
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +15,7 @@ from lensshift.cli.mtf import mtf
 from lensshift.cli.session import Session
 from lensshift.cli.star import frc, resolution, star, zone
 from lensshift.cli.verbs import argument, option, verb, verb_group
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, warn_quality
 
 if TYPE_CHECKING:
     from lensshift.core.arrays import Array
@@ -78,7 +77,7 @@ def fidelity(current: Session, asked: _FidelityOptions) -> None:
     # A few pixels may be brighter than white, and noise; not most of them.
     if (truth.dtype.kind in "ui" and truth.max() > peak) or np.nanmedian(truth) > peak:
         told = f"the truth goes up to {np.nanmax(truth):.5g} but white is {peak:g}; set --peak"
-        warnings.warn(told, QualityWarning, stacklevel=1)
+        warn_quality(told, 1)
     found = asdict(measure(values, truth, peak=peak, border_px=asked.border_px))
     _warn_if_apart(values, truth, asked.border_px)
     current.tell(asked, "image truth peak border_px")
@@ -107,4 +106,4 @@ def _warn_if_apart(values: Array, truth: Array, border_px: int) -> None:
             f"brought back its RMSE is {there:.6g}. Shifts that are found without any that were "
             "told have a mean of 0: give --offsets, or the truth at their mean"
         )
-        warnings.warn(said, QualityWarning, stacklevel=1)
+        warn_quality(said, 1)

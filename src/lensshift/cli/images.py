@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
@@ -12,7 +11,7 @@ import typer
 from lensshift.cli.inputs import Kind, kind_of, parse_numbers, parse_pitch_mm
 from lensshift.cli.session import picked
 from lensshift.cli.verbs import argument, option
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, warn_quality
 
 if TYPE_CHECKING:
     from lensshift.core.arrays import Array
@@ -144,7 +143,7 @@ def _given_pitch(pitch_mm: str | None, path: Path) -> tuple[Pitch, bool]:
         return told or (1.0, 1.0), told is not None
     given = parse_pitch_mm(pitch_mm)
     if doubt := doubt_about_pitch(max(given)):
-        warnings.warn(doubt, QualityWarning, stacklevel=2)
+        warn_quality(doubt, 2)
     return given, True
 
 
@@ -184,10 +183,9 @@ def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
     else:
         read = measured_of(asked)
     if curve is None and suffix in JPEG_SUFFIXES:
-        warnings.warn(
+        warn_quality(
             f"{path.name}: the levels are taken for light; those of a JPEG rarely are: --gamma 2.2",
-            QualityWarning,
-            stacklevel=2,
+            2,
         )
     light, channel = linear_light(read.values, curve), options.channel
     if options.bayer is None:

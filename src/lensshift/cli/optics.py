@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +11,7 @@ import typer
 from lensshift.cli.inputs import parse_numbers, parse_pitch_mm
 from lensshift.cli.ranges import in_range
 from lensshift.cli.verbs import option
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 
 if TYPE_CHECKING:
     from lensshift.core.grid import Grid
@@ -74,7 +73,7 @@ def read_lens(name: str, light: LightOptions | None = None) -> Lens:
             replace(one, glass=tuple(taken[name][0] for name in one.glass)) for one in lens.elements
         )
         if notes := [note for _, note in taken.values() if note is not None]:
-            warnings.warn("; ".join(notes), QualityWarning, stacklevel=2)
+            warn_quality("; ".join(notes), 2)
     return replace(lens, **{name: one for name, one in given.items() if one is not None})
 
 

@@ -14,7 +14,8 @@ from lensshift.core.order import median_of_known
 # neighbour a tenth of itself.
 STANDS_OUT = 10.0
 # And by this part of the standard deviation of the frames: less does little harm, and a flat hill
-# whose top is one level of a converter higher does so, too.
+# whose top is one level of a converter higher does so, too. A phasor of no light beside some has no
+# phase, however much brighter others are: there it is this part of the light beside it.
 LEAST_CONTRAST = 0.5
 # Of the pixels of a row that lives, so many at most are the same in all frames: noise changes all.
 MOST_STILL = 0.5
@@ -31,7 +32,7 @@ LEAST_BLOCKS = 16  # of 2 x 2 pixels; fewer say nothing of how they scatter
 LEAST_FRAMES = 3
 
 
-def stuck_pixels(frames: Array, valid: Mask | None = None) -> Mask | None:
+def stuck_pixels(frames: Array, valid: Mask | None = None, *, phasors: bool = False) -> Mask | None:
     """Return the pixels [row col] that do not follow a scene that moves, None if there are none.
 
         min_k y - max_k of 8 neighbours > 10 max over the 9 of (max_k y - min_k y),   or below them
@@ -44,6 +45,7 @@ def stuck_pixels(frames: Array, valid: Mask | None = None) -> Mask | None:
     ----------
     frames : [frame row col] real
     valid : [frame row col], None: all pixels are; neighbours that are not count as alike
+    phasors : whether the frames are of moduli
     """
     if len(frames) < LEAST_FRAMES or min(frames.shape[1:]) < 3:
         return None
@@ -51,11 +53,12 @@ def stuck_pixels(frames: Array, valid: Mask | None = None) -> Mask | None:
     highest = np.where(used, frames, -np.inf).max(axis=0)
     lowest = np.where(used, frames, np.inf).min(axis=0)
     most, least = _of_neighbours(highest, np.maximum), _of_neighbours(lowest, np.minimum)
-    stands_out = np.maximum(lowest - most, least - highest)
     change = np.maximum(highest - lowest, 0.0)  # -inf where a pixel is never valid
-    change = np.maximum(change, _of_neighbours(change, np.maximum))
-    limit = np.maximum(STANDS_OUT * change, LEAST_CONTRAST * float(np.std(frames[used])))
-    stuck = np.isfinite(stands_out) & (stands_out > limit)
+    change = STANDS_OUT * np.maximum(change, _of_neighbours(change, np.maximum))
+    contrast = LEAST_CONTRAST * float(np.std(frames[used]))
+    below = np.minimum(contrast, LEAST_CONTRAST * least) if phasors else contrast
+    stuck = np.isfinite(most) & (lowest - most > np.maximum(change, contrast))
+    stuck |= np.isfinite(least) & (least - highest > np.maximum(change, below))
     still = highest == lowest
     stuck |= _still_rows(still)[:, None] | _still_rows(still.T)
     stuck &= used.all(axis=0)
@@ -101,6 +104,29 @@ def offset_columns(frames: Array, valid: Mask) -> Mask:
     return found
 
 
+def not_measured(lights: Sequence[Array], valid: Mask) -> Mask:
+    """Return where [frame row col] a phasor is 0, but another one there is not, or those around.
+
+    The others are more than ten levels of a converter; of the values up to there, noise rounds
+    one in 21^2 off to 0, as phasors fill a disc, and more of them are 0 than by chance.
+
+    Parameters
+    ----------
+    lights : [frame row col] modulus, of each frequency
+    """
+    found = np.zeros(valid.shape, np.bool_)
+    for light in (one for one in lights if np.any(valid & (one == 0))):
+        nothing, levels = valid & (light == 0), np.unique(light[valid])[:3]
+        shown = STANDS_OUT * float(np.diff(levels).min(initial=np.inf))
+        chance = np.count_nonzero(light[valid] <= shown) / (2 * STANDS_OUT + 1) ** 2
+        if nothing.sum() <= chance + NO_CHANCE * np.sqrt(chance):
+            continue
+        around = np.stack([_of_neighbours(y, np.minimum) for y in np.where(valid, light, np.inf)])
+        amid = np.isfinite(around) & (around > shown)
+        found |= nothing & (amid | (np.max(lights, axis=0) > shown))
+    return found
+
+
 def _still_rows(still: Mask) -> Mask:
     """Return the rows that are still between two of which most pixels are not."""
     share = still.mean(axis=1)
@@ -123,20 +149,6 @@ def blank_frames(frames: Array, valid: Mask | None = None) -> Mask:
     used = np.ones(frames.shape, np.bool_) if valid is None else valid
     shown = [one[seen] for one, seen in zip(frames, used, strict=True)]
     return np.array([one.size > 1 and bool(np.all(one == one[0])) for one in shown])
-
-
-def doubts_about_frames(
-    frames: Array, valid: Mask | None, names: Sequence[int], *, photometric: bool
-) -> list[str]:
-    """Say what frames of one still scene by one camera can hardly be like.
-
-    Parameters
-    ----------
-    names : numbers that the frames are told by
-    photometric : whether their brightness may differ
-    """
-    brightness = "" if photometric else unequal_brightness(frames, valid, names)
-    return [text for text in (colour_mosaic(frames, valid), brightness) if text]
 
 
 def copied_frames(frames: Array) -> dict[int, int]:

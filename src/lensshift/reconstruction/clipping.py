@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
+from lensshift.core import defects
 from lensshift.core.arrays import Array, Mask
-from lensshift.core.defects import blank_frames, copied_frames, offset_columns, stuck_pixels
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
+from lensshift.core.phasors import has_phasors
 from lensshift.core.types import Burst
 from lensshift.forward.operator import LinearOperator
 
@@ -121,15 +121,14 @@ def without_blank(burst: Burst, used: Sequence[int], *, stacklevel: int = 2) -> 
     QualityWarning
         Of these.
     """
-    blank = blank_frames(burst.amplitude, burst.valid)
+    blank = defects.blank_frames(burst.amplitude, burst.valid)
     blank &= np.isin(np.arange(burst.frame_count), used)
     if blank.sum() in (0, len(used)):
         return burst
-    warnings.warn(
+    warn_quality(
         f"frame {', '.join(map(str, np.flatnonzero(blank)))}: all valid pixels are alike, as where "
         "a shutter stayed closed; left out",
-        QualityWarning,
-        stacklevel=stacklevel + 1,
+        stacklevel + 1,
     )
     return replace(burst, valid=burst.valid & ~blank[:, None, None])
 
@@ -147,17 +146,17 @@ def without_copies(burst: Burst, used: Sequence[int], *, stacklevel: int = 2) ->
     """
     numbers = list(used)
     places = [
-        (numbers[k], numbers[of]) for k, of in copied_frames(burst.amplitude[numbers]).items()
+        (numbers[k], numbers[of])
+        for k, of in defects.copied_frames(burst.amplitude[numbers]).items()
     ]
     alike = [(k, of) for k, of in places if np.array_equal(burst.offset_px[k], burst.offset_px[of])]
     if not alike or burst.affine is not None:
         return burst
     said = ", ".join(f"{k} (of {of})" for k, of in alike[:3]) + (" ..." if alike[3:] else "")
-    warnings.warn(
+    warn_quality(
         f"copies of frames, noise and all, are left out: frame {said}. They tell nothing new, and "
         "noise would seem to be less. Were they handed out twice?",
-        QualityWarning,
-        stacklevel=stacklevel + 1,
+        stacklevel + 1,
     )
     valid = np.array(burst.valid)
     valid[[k for k, _ in alike]] = False
@@ -165,35 +164,40 @@ def without_copies(burst: Burst, used: Sequence[int], *, stacklevel: int = 2) ->
 
 
 def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:
-    """Return the burst without pixels that stay as they are while the scene moves.
+    """Return the burst without pixels that stay, or have no phasor, while the scene moves.
 
     Warns
     -----
     QualityWarning
         Of these.
     """
-    y, valid = burst.amplitude, burst.valid
+    valid, waves = burst.valid, has_phasors(burst)
     across = np.ptp(burst.offset_px, axis=0) >= TELLING_MOVE_PX
-    if y.dtype.kind == "c" or not across.any():
-        return burst
-    stuck = stuck_pixels(y, valid)
-    stuck = np.zeros(y.shape[1:], np.bool_) if stuck is None else stuck
-    if across[1]:
-        stuck |= offset_columns(y, valid) & valid.all(axis=0)
-    if across[0]:
-        rows = offset_columns(y.swapaxes(1, 2), valid.swapaxes(1, 2))
-        stuck |= rows[:, None] & valid.all(axis=0)
-    if not stuck.any():
-        return burst
-    places = [f"({row}, {col})" for row, col in np.argwhere(stuck)]
-    shown = ", ".join(places[:3]) + (" ..." if len(places) > 3 else "")
-    warnings.warn(
-        f"pixels that do not follow the scene are left out as defective: {len(places)}, at "
-        f"(row, col) {shown} (mark such pixels False in valid)",
-        QualityWarning,
-        stacklevel=stacklevel + 1,
-    )
-    return replace(burst, valid=burst.valid & ~stuck)
+    stuck = np.zeros(valid.shape[1:], np.bool_)
+    lights = [burst.amplitude, *(() if burst.phasors is None else burst.phasors)]
+    lights = [np.abs(one) if one.dtype.kind == "c" else one for one in lights]
+    for y in lights if across.any() else ():
+        if (found := defects.stuck_pixels(y, valid, phasors=waves)) is not None:
+            stuck |= found
+        if across[1]:
+            stuck |= defects.offset_columns(y, valid) & valid.all(axis=0)
+        if across[0]:
+            rows = defects.offset_columns(y.swapaxes(1, 2), valid.swapaxes(1, 2))
+            stuck |= rows[:, None] & valid.all(axis=0)
+    nothing = defects.not_measured(lights, valid & ~stuck) if waves else stuck[None] & False
+    for bad, what in (
+        (stuck, "pixels that do not follow the scene are left out as defective"),
+        (nothing.any(axis=0), "phasors of 0 in the midst of light are left out as not measured"),
+    ):
+        if bad.any():
+            places = [f"({row}, {col})" for row, col in np.argwhere(bad)]
+            shown = ", ".join(places[:3]) + (" ..." if len(places) > 3 else "")
+            warn_quality(
+                f"{what}: {len(places)}, at (row, col) {shown} (mark such pixels False in valid)",
+                stacklevel + 1,
+            )
+    left = valid & ~(stuck | nothing)
+    return burst if np.array_equal(left, valid) else replace(burst, valid=left)
 
 
 def warn_of_blind_frames(burst: Burst, used: tuple[int, ...], *, stacklevel: int) -> None:
@@ -202,9 +206,8 @@ def warn_of_blind_frames(burst: Burst, used: tuple[int, ...], *, stacklevel: int
     blind = np.any(away_px >= burst.grid.shape, axis=1)
     if np.any(blind) and not np.all(blind):  # of which none would see the scene
         numbers = ", ".join(str(used[k]) for k in np.flatnonzero(blind))
-        warnings.warn(
+        warn_quality(
             f"of frame {numbers} nothing is used: offset_px moves content out of the picture, by "
             f"{away_px[blind].max():.4g} px; it is in LR pixels",
-            QualityWarning,
-            stacklevel=stacklevel + 1,
+            stacklevel + 1,
         )

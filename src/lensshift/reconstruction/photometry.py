@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.defects import NO_CHANCE, unequal_brightness
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.gaussian import MEDIAN_SIZE
 from lensshift.core.local_means import gaussian_around, mean_around
 from lensshift.core.types import Burst, Estimate, Frame
@@ -278,7 +277,7 @@ def in_one_light(
             done = "the picture allows for it, by a gain and a bias of each frame (in its notes)"
             differ, found = f"{how}: {done}", again
     if differ:
-        warnings.warn(differ, QualityWarning, stacklevel=stacklevel + 1)
+        warn_quality(differ, stacklevel + 1)
     return found
 
 

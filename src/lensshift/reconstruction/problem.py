@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array, Floats, Mask
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.order import quantile
 from lensshift.core.stray_light import StrayLight
 from lensshift.core.types import Burst, ShiftField
@@ -253,11 +252,10 @@ def make_blur(psf_sigma_px: float | None, fill_factor: float | None) -> Blur:
                 f"psf_sigma_px: expected 0 to {MOST_BLUR_PX:g} LR pixels, got {psf_sigma_px}"
             )
         if psf_sigma_px > QUESTIONED_BLUR_PX:
-            warnings.warn(
+            warn_quality(
                 f"psf_sigma_px {psf_sigma_px:g}: so wide a response leaves nothing between the "
                 "pixels to resolve; is it in LR pixels (a square pixel has 0.29)?",
-                QualityWarning,
-                stacklevel=3,
+                3,
             )
     if fill_factor is None:
         return GaussianBlur(NOMINAL_BLUR_PX if psf_sigma_px is None else psf_sigma_px)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array
 from lensshift.core.defects import colour_mosaic, unequal_brightness
-from lensshift.core.errors import DataError, QualityWarning
+from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.lens_field import LensField
 from lensshift.core.phasors import distances_without
 from lensshift.core.stray_light import StrayLight
@@ -198,7 +197,7 @@ def _estimates(
     if channel == "phasor":
         differ = "" if request.streamed else unequal_brightness(part.amplitude, part.valid)
         if differ:
-            warnings.warn(differ, QualityWarning, stacklevel=3)
+            warn_quality(differ, 3)
         both = reconstruct_phasor(burst, chosen.name, request, seen)
         return {"amplitude": both.amplitude, "distance": both.distance_m}, both.flying
     found: dict[str, Estimate] = {}
@@ -212,7 +211,7 @@ def _estimates(
             doubts = [overexposed(values, problem.clipped), cut_off(problem)]
             doubts += [doubt_about_noise(problem)] if chosen.name == "auto" else []
             for said in filter(None, doubts):
-                warnings.warn(said, QualityWarning, stacklevel=3)
+                warn_quality(said, 3)
         if key == "distance" and chosen.name == "auto" and seen["pixel_variance"] is None:
             problem = problem.with_brightness(part.amplitude)
         own = replace(request, law=None, still_std=0.0) if key == "distance" else request
@@ -231,7 +230,7 @@ def _objected(
     said = [refuted, *(estimate.notes.get("contradiction") for estimate in found.values())]
     for wrong in dict.fromkeys(text for text in said if text is not None):
         also = like_movement if "something moved" in wrong else ""
-        warnings.warn(f"{wrong}{also}", QualityWarning, stacklevel=3)
+        warn_quality(f"{wrong}{also}", 3)
     blamed = any(estimate.status is Status.CONTRADICTED for estimate in found.values())
     named = doubt is not None and doubt.named  # of which the user was told
     if doubt is not None and not (named or blamed or refuted):  # nothing to blame it on
@@ -327,7 +326,7 @@ def _parts(
         burst = without_copies(without_blank(burst, used, stacklevel=3), used, stacklevel=3)
     part = burst if used == tuple(range(burst.frame_count)) else burst.select(used)
     if not request.streamed and (said := colour_mosaic(part.amplitude, part.valid)):
-        warnings.warn(said, QualityWarning, stacklevel=3)
+        warn_quality(said, 3)
     return burst, part, None if field is None else field.select(used)
 
 

@@ -7,14 +7,13 @@ neighbours from the other frames predict them best.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from lensshift.core.arrays import Array, Mask, Shifts
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.reconstruction.glance import FAR_PX, Glance
 from lensshift.reconstruction.held_out import (
     FOLDS,
@@ -114,10 +113,9 @@ def warn_of_doubt(doubt: Doubt, *, stacklevel: int = 2) -> None:
     seen = f"pixels left out are predicted {doubt.ratio:.2f} times worse than under another reading"
     if doubt.ratio < NAMED:
         seen = "they lie elsewhere, where another reading has them"
-    warnings.warn(
+    warn_quality(
         f"the frames contradict offset_px: {seen}; likely {doubt.mistake}: {doubt.cure}",
-        QualityWarning,
-        stacklevel=stacklevel + 1,
+        stacklevel + 1,
     )
 
 

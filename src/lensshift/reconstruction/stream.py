@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 from lensshift.core.arrays import Floats, Mask
 from lensshift.core.burst_checks import all_valid
 from lensshift.core.defects import blank_frames
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.types import Burst, Frame, Reconstruction
 from lensshift.reconstruction.following import Followed, brighter
 from lensshift.reconstruction.method import Method
@@ -291,7 +290,7 @@ class Stream:
         return at, None, False
 
     def _warn(self, text: str) -> None:
-        warnings.warn(text, QualityWarning, stacklevel=4)
+        warn_quality(text, 4)
 
 
 def stream(

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from lensshift.core.arrays import Array
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.phasors import has_phasors
 from lensshift.core.types import Burst, ShiftField
 from lensshift.reconstruction.glance import Glance, glance
@@ -128,12 +127,11 @@ def _mended(told: Told, look: Glance, request: Request) -> Told:
         away_px = found.offset_px - part.offset_px
         most = int(np.argmax(np.hypot(*away_px.T)))
         down, right = away_px[most]
-        warnings.warn(
+        warn_quality(
             f"offset_px is off by {found.error_px:.2f} px (rms; frame {used[most]} by {down:+.2f}, "
             f"{right:+.2f}): the picture takes the shifts that the frames show; calibrate the rig, "
             "or let `lensshift.register` find offset_px",
-            QualityWarning,
-            stacklevel=4,
+            4,
         )
     moved = np.array(burst.offset_px)
     known = burst.offset_sigma_px

@@ -13,9 +13,7 @@ from lensshift.core.errors import warn_quality
 _SIDE_PX, _MOST, _LEAST = 4, 8, 8  # blocks: least side, most along an axis, least in all
 _DARK = 0.2  # of the light of most blocks: below, a ratio is noise
 _ROUNDING = 1e-9
-_SURE = (
-    3.0  # standard errors that ratios are off on average: 0.3 % of even frames, were they normal
-)
+_SURE = 3.0  # how far gains are off on average, in standard errors of each
 _OF_NORMAL, _OF_MEDIAN = 1.4826, 1.2533  # sigma over a median deviation; error of a median over it
 
 

@@ -10,8 +10,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from lensshift.core import defects
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
-from lensshift.core.defects import blank_frames, doubts_about_frames, repeated_frame, stuck_pixels
 from lensshift.core.errors import warn_quality
 from lensshift.core.phasors import has_phasors, phasor_frames
 from lensshift.core.types import Burst, expect_burst
@@ -155,7 +155,7 @@ def _seen(burst: Burst, images: Array, frames: Sequence[int] | None) -> NDArray[
         raise ValueError(f"expected frames from 0 to {numbers[-1]}, each once, got {list(frames)}")
     count = burst.valid.sum(axis=(1, 2)) * asked
     few = (count < max(1.0, blocks.LEAST_VALID * count.max())) & asked
-    blank = blank_frames(images, burst.valid) & asked
+    blank = defects.blank_frames(images, burst.valid) & asked
     kept = np.flatnonzero(asked & ~few & ~blank)
     if len(kept) < 2:
         said = f"expected valid pixels that differ in at least 2 frames, got {len(kept)}"
@@ -171,7 +171,8 @@ def _seen(burst: Burst, images: Array, frames: Sequence[int] | None) -> NDArray[
 
 def _scaled(burst: Burst, images: Array) -> tuple[Mask, Array, Array]:
     """Return which pixels count, the images up to 1, whose squares exist, and these filled."""
-    stuck = stuck_pixels(np.abs(images) if np.iscomplexobj(images) else images, burst.valid)
+    light = np.abs(images) if np.iscomplexobj(images) else images
+    stuck = defects.stuck_pixels(light, burst.valid)
     valid = burst.valid if stuck is None else burst.valid & ~stuck
     scaled = images / (np.max(np.abs(images), where=valid, initial=0.0) or 1.0)
     return valid, scaled, blocks.filled(scaled, valid)
@@ -181,9 +182,11 @@ def _say_doubts(
     burst: Burst, channel: Channel, valid: Mask, kept: NDArray[np.intp], *, photometric: bool
 ) -> None:
     images = frames_of(burst, channel)
-    doubts = [repeated_frame(images, kept.tolist())]
+    doubts = [defects.repeated_frame(images, kept.tolist())]
     if channel != "distance":
-        doubts += doubts_about_frames(images, valid, kept.tolist(), photometric=photometric)
+        doubts.append(defects.colour_mosaic(images, valid))
+        names = kept.tolist()
+        doubts.append("" if photometric else defects.unequal_brightness(images, valid, names))
     for said in filter(None, doubts):
         warn_quality(said, 3)
 

@@ -10,13 +10,12 @@ over the pixels cannot be told from the scene.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.types import Burst
 from lensshift.forward.operator import single
 from lensshift.reconstruction.clipping import clipped_pixels
@@ -56,13 +55,12 @@ def without_pattern(
     pattern, variance = _taken_off(part, scale, power.variance)
     variance += power.variance / power.sure  # by as much the frames may have told too little of it
     size, left = float(np.sqrt(power.variance)), float(np.sqrt(variance))
-    warnings.warn(
+    warn_quality(
         "the pixels have a pattern of their own that does not move with the scene, of about "
         f"{size:.3g} (rms): it is taken off as far as the frames tell it, and std holds the "
         f"{left:.2g} that may be left; subtract a dark frame (covered lens), which knows all of "
         "it. Or the scene did not move as offset_px says",
-        QualityWarning,
-        stacklevel=stacklevel + 1,
+        stacklevel + 1,
     )
     burst, part = (_less(one, pattern) for one in (burst, part))
     return burst, part, left, {"fixed_pattern_std": size, "fixed_pattern_left": left}

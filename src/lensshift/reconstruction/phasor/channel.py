@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lensshift.core.arrays import Floats, Mask
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.order import median
 from lensshift.core.types import Burst, Estimate, Status
 from lensshift.core.units import PhaseScale, distance_to_phase, unambiguous_range_m
@@ -105,7 +104,7 @@ def _agreed(hz: tuple[float, ...], each: list[PhasorResult], request: Request) -
         np.stack([np.asarray(one.distance_m.std) for one in each]) * per_m,
     )
     if said := doubt_about_phases(pictures):
-        warnings.warn(said, QualityWarning, stacklevel=5)
+        warn_quality(said, 5)
     distance_m, std_m = common_distance(pictures)
     highest = each[int(np.argmax(hz))]
     fine_m = highest.distance_m.fine
@@ -227,12 +226,11 @@ def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: Mask) -> Non
         return
     turned = float(np.mean(np.abs(settled.phase_rad - frames.phase_rad)[used] > np.pi))
     if turned > TURNED_LIMIT:
-        warnings.warn(
+        warn_quality(
             f"the frames do not agree how often the phase has turned: {100 * turned:.0f} % of the "
             "pixels, dark ones, took the turns of their surroundings; a dark surface may be whole "
             "turns off",
-            QualityWarning,
-            stacklevel=4,
+            4,
         )
 
 

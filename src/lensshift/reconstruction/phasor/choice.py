@@ -15,13 +15,12 @@ Otherwise amplitude and distance are reconstructed each on its own, as far as th
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 
-from lensshift.core.errors import QualityWarning
+from lensshift.core.errors import warn_quality
 from lensshift.core.types import Burst
 from lensshift.reconstruction.method import Request
 
@@ -73,7 +72,7 @@ def choose_channel(
     waves = burst.amplitude.dtype.kind == "c"
     phasors = burst.phasors is not None or waves
     if waves and burst.modulation_hz is None and not request.streamed:
-        warnings.warn(UNTOLD, QualityWarning, stacklevel=3)
+        warn_quality(UNTOLD, 3)
     obstacles = {
         "complex frames of unknown frequency stay complex": waves and burst.modulation_hz is None,
         "the burst has no distance": burst.distance_m is None and not phasors,
