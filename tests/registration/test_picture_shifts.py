@@ -92,9 +92,13 @@ def test_frames_that_nearly_all_lie_at_one_place_do_not_refute_the_others(moved:
     frames = [world.running.frame(one[None] - 0.03, world._rng).amplitude for one in true_px]
     burst = Burst.from_arrays(np.stack(frames), offset_px=0 * true_px, pitch_mm=0.1)
     found = register(burst)
-    np.testing.assert_allclose(found.offset_px - found.offset_px[0], true_px, atol=0.03)
-    assert found.offset_sigma_px is not None
-    assert found.offset_sigma_px.max() < 0.02
+    away_px = found.offset_px - found.offset_px[0] - true_px
+    np.testing.assert_allclose(away_px, 0.0, atol=0.03)
+    sigma_px = found.offset_sigma_px
+    assert sigma_px is not None
+    # The two frames elsewhere are off by 0.026 px, and are told to be; no picture took their place.
+    assert np.all(np.abs(away_px[1:]) < 2.0 * sigma_px[1:])
+    assert sigma_px.max() < 0.03
 
 
 def test_a_right_fit_stays_and_a_wrong_one_goes() -> None:

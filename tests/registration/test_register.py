@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import PITCH_MM, checker, random_boxes, scene, taken, waves
+from scenes import PITCH_MM, SNR_50, checker, random_boxes, scene, taken, waves
 
 from lensshift.camera import QUARTER_SQUARE_PX, RunningCamera, camera_preset
 from lensshift.core.errors import QualityWarning
@@ -48,6 +48,19 @@ def test_the_offset_of_the_reference_is_kept() -> None:
 def test_phase_correlation_has_the_sign_of_offsets() -> None:
     frames = waves(np.array([[0.0, 0.0], [2.0, -5.0]]), (24, 41))
     np.testing.assert_allclose(phase_correlation(*frames), [2.0, -5.0], atol=0.06)
+
+
+def test_shifts_of_nine_frames_err_by_what_is_told() -> None:
+    """At SNR 200 edges, which are no random field, err by more than the likelihood believes."""
+    planned_px = tuple(product((-1 / 3, 0.0, 1 / 3), repeat=2))
+    bright = replace(SNR_50, full_well_electrons=80_000.0, bits=16)
+    over = []
+    for seed in range(6):
+        burst, true_px = taken(random_boxes(seed), 0.06, seed, planned_px, bright)
+        found = register(burst)
+        assert found.offset_sigma_px is not None
+        over.append((found.offset_px - true_px)[1:] / found.offset_sigma_px[1:])
+    assert 0.6 < np.sqrt(np.mean(np.square(over))) < 1.25
 
 
 @cache

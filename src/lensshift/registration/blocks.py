@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -147,10 +147,8 @@ def likely_where_telling(
     """
     part, count = telling_part(frames, valid, start_px, MOST_PX), len(frames)
     frames, valid = frames[part], valid[part]
-    others = np.delete(np.arange(count), reference)
     fits = []
-    for some in np.array_split(others, -(-len(others) // (MOST_TOGETHER - 1))):
-        numbers = np.sort([reference, *some])
+    for numbers in _together(count, reference):
         fit = likely_shifts(
             frames[numbers], valid[numbers], start_px[numbers],
             reference=int(np.searchsorted(numbers, reference)), photometric=photometric,
@@ -179,26 +177,37 @@ def _joined(fits: list[tuple[NDArray[np.intp], ShiftFit]], count: int) -> ShiftF
 
 def scatter_of_parts(
     frames: Array, valid: Mask, fit: ShiftFit, reference: int, *, photometric: bool
-) -> Scatter | None:
-    """Return how the parts of the sensor scatter, None where that says nothing.
+) -> Scatter:
+    """Return how the parts of the sensor scatter, as much as expected where that says nothing.
 
     What moves in the scene says where it was as surely as what rests. Along a single edge parts
-    may lie anywhere.
+    may lie anywhere. Of many frames some are asked at a time, each time with the reference.
     """
     if np.any(fit.sigma_px > UNKNOWN_PX):
-        return None
+        return scatter_of([], fit.offset_px.size)
     part = telling_part(frames, valid, fit.offset_px, MOST_PX)
     frames, valid = frames[part], valid[part]
     blocks = _seen_blocks(valid)
     least = [min((block[axis].stop - block[axis].start for block in blocks), default=0)
              for axis in (0, 1)]  # fmt: skip
     span_px = np.ceil(np.ptp(fit.offset_px, axis=0))
-    steps = []
-    if np.all(np.array(least) - span_px >= LEAST_BLOCK_PX // 2):
-        height, width = least
-        alike = [(slice(rows.start, rows.start + height), slice(cols.start, cols.start + width))
-                 for rows, cols in blocks]  # fmt: skip
-        steps = likely_steps(
-            frames, valid, fit, alike, reference=reference, photometric=photometric
-        )
-    return scatter_of(steps, fit.offset_px.size)
+    if np.any(np.array(least) - span_px < LEAST_BLOCK_PX // 2):
+        return scatter_of([], fit.offset_px.size)
+    height, width = least
+    alike = [(slice(rows.start, rows.start + height), slice(cols.start, cols.start + width))
+             for rows, cols in blocks]  # fmt: skip
+    steps = np.zeros((len(alike), 2, *fit.offset_px.shape))
+    for numbers in _together(len(frames), reference):
+        some = replace(fit, offset_px=fit.offset_px[numbers], gain=fit.gain[numbers])
+        steps[:, :, numbers] = likely_steps(
+            frames[numbers], valid[numbers], some, alike,
+            reference=int(np.searchsorted(numbers, reference)), photometric=photometric,
+        )  # fmt: skip
+    return scatter_of([(step_px, sigma_px) for step_px, sigma_px in steps], fit.offset_px.size)
+
+
+def _together(count: int, reference: int) -> list[NDArray[np.intp]]:
+    """Return numbers of frames that are asked at a time, the reference always among them."""
+    others = np.delete(np.arange(count), reference)
+    parts = np.array_split(others, -(-len(others) // (MOST_TOGETHER - 1)))
+    return [np.sort([reference, *some]) for some in parts]

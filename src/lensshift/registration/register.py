@@ -16,12 +16,12 @@ from lensshift.core.errors import warn_quality
 from lensshift.core.phasors import has_phasors, phasor_frames
 from lensshift.core.types import Burst, expect_burst
 from lensshift.registration import blocks
-from lensshift.registration.affine import affine_motion, turning
+from lensshift.registration.affine import AffineFit, affine_motion, turning
 from lensshift.registration.gradient import gradient_shifts, texture_covariance
 from lensshift.registration.light import light_allowed_for
 from lensshift.registration.likelihood import UNKNOWN_PX, USUAL_SHIFT_PX, ShiftFit, with_given
 from lensshift.registration.phase import phase_fit, phase_shifts, rival_shifts, unlike_frames
-from lensshift.registration.picture import LEAST_FRAMES, LEAST_PREDICTING, better_shifts
+from lensshift.registration.picture import LEAST_FRAMES, better_shifts
 
 Method = Literal["auto", "gradient", "phase"]
 Motion = Literal["auto", "shift", "affine"]
@@ -128,14 +128,9 @@ def register(
         if method == "gradient":
             fit = _widened(run, images, valid, fit)
         else:
+            fit, affine, factor = _checked(fit, images, whole, valid, motion, reference, own_light)
             told_px = _errors_of_differences(burst, reference) if use_given else None
-            alike = _alike(whole, fit, own_light)
-            fit = better_shifts(fit, alike, valid, reference)
-            if apart := _scatter_of_few(images, valid, fit, reference, own_light):
-                factor = apart.factor
-                fit = replace(fit, covariance_px2=apart.widened(fit.covariance_px2))
             fit = with_given(fit, given_px, told_px, said=known)
-            fit, affine = _turned(fit, alike, valid, motion, reference)
     alone = method == "phase" or not known
     rivals_px = rival_shifts(whole, fit.offset_px, reference) if alone else np.zeros_like(given_px)
     sigma_px = np.hypot(fit.sigma_px, rivals_px)
@@ -241,39 +236,49 @@ def frames_of(burst: Burst, channel: str) -> Array:
     return frames.astype(np.complex128 if frames.dtype.kind == "c" else np.float64)
 
 
-def _scatter_of_few(
-    frames: Array, valid: Mask, fit: ShiftFit, reference: int, photometric: bool
-) -> blocks.Scatter | None:
-    """Return how parts scatter; more frames show what moves themselves (`better_shifts`)."""
-    if len(frames) >= LEAST_PREDICTING:
-        return None
-    return blocks.scatter_of_parts(frames, valid, fit, reference, photometric=photometric)
+def _checked(
+    fit: ShiftFit, images: Array, whole: Array, valid: Mask, motion: Motion, reference: int,
+    photometric: bool,
+) -> tuple[ShiftFit, Floats | None, float]:  # fmt: skip
+    """Return the fit with errors that parts and pictures bear out, or one that is better.
+
+    How frames turn, if that is asked for or they show it, and by how much more than their errors
+    say the parts disagree: turning explains it, and pictures have their own scatter.
+    """
+    alike = _alike(whole, fit, photometric)
+    apart = blocks.scatter_of_parts(images, valid, fit, reference, photometric=photometric)
+    likely = replace(fit, covariance_px2=apart.widened(fit.covariance_px2))
+    better = better_shifts(likely, alike, valid, reference)
+    kept = np.array_equal(better.offset_px, fit.offset_px)
+    turns = _turns(better, alike, valid, motion, reference)
+    if turns is None:
+        return better, None, apart.factor if kept else 1.0
+    own = np.diag(turns.sigma_px.ravel() ** 2)
+    own[2 * reference : 2 * reference + 2] = 0.0
+    before = fit if kept else better
+    turned = replace(
+        before, offset_px=turns.offset_px, covariance_px2=before.covariance_px2 + own,
+        converged=before.converged and turns.settled,
+    )  # fmt: skip
+    return turned, turns.affine, 1.0
 
 
-def _turned(
+def _turns(
     fit: ShiftFit, frames: Array, valid: Mask, motion: Motion, reference: int
-) -> tuple[ShiftFit, Floats | None]:
-    """Return the fit and how frames turn, if that is asked for or they show it."""
+) -> AffineFit | None:
+    """Return how frames turn, if that is asked for or they show it."""
     # Along a single edge frames may lie anywhere, and then turn as they like.
     if motion == "shift" or (motion == "auto" and np.any(fit.sigma_px > UNKNOWN_PX)):
-        return fit, None
+        return None
     find = turning if motion == "auto" else affine_motion
     found = find(frames, valid, fit.offset_px, reference=reference)
-    if found is None:
-        return fit, None
-    if motion == "auto":
+    if found is not None and motion == "auto":
         warn_quality(
             f"the frames do not only shift but differ {found.said(frames.shape[1:])}, which is "
             'allowed for: motion="shift" of register (--motion shift) would not',
-            3,
+            4,
         )
-    own = np.diag(found.sigma_px.ravel() ** 2)
-    own[2 * reference : 2 * reference + 2] = 0.0
-    fit = replace(
-        fit, offset_px=found.offset_px, covariance_px2=fit.covariance_px2 + own,
-        converged=fit.converged and found.settled,
-    )  # fmt: skip
-    return fit, found.affine
+    return found
 
 
 def _check(burst: Burst, method: str, motion: str, reference: int, use_given: bool) -> None:

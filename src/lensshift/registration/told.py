@@ -115,8 +115,7 @@ def _likeliest(frames: Array, valid: Mask, told_px: Shifts) -> tuple[Shifts, Arr
         if not fit.converged or np.any(fit.sigma_px > UNKNOWN_PX):
             return None
         scatter = scatter_of_parts(values[asked], seen[asked], fit, 0, photometric=True)
-        own = fit.covariance_px2 if scatter is None else scatter.widened(fit.covariance_px2)
         likeliest_px[some] = fit.offset_px[1:]
         place = (2 * asked[:, None] + [0, 1]).ravel()
-        covariance[np.ix_(place, place)] += own
+        covariance[np.ix_(place, place)] += scatter.widened(fit.covariance_px2)
     return likeliest_px, covariance
