@@ -274,6 +274,56 @@ def test_a_reading_is_as_sure_as_a_paired_t_test_says(
     assert sure == pytest.approx(expected, rel=2e-3)
 
 
+@pytest.mark.parametrize(("unseen", "said"), [(8, False), (11, True)])
+def test_a_reading_of_which_half_of_the_pixels_see_nothing_is_none(
+    monkeypatch: pytest.MonkeyPatch, unseen: int, said: bool
+) -> None:
+    trial = Trial(np.ones((4, 9, 18)), np.ones((4, 9, 18), bool), SQUARE_PX, None)
+    worse = np.random.default_rng(0).uniform(0.2, 0.3, (2, 4, 9, 18))
+
+    def told(offset_px: Array, folds: int, *, noise: bool = False) -> Array:
+        better = 0.5 * worse
+        better[..., : 18 - unseen] = np.nan
+        return worse if noise or offset_px is SQUARE_PX else better
+
+    monkeypatch.setattr(trial, "_errors", told)
+    ratio, sure = trial.compare(-SQUARE_PX, 2)
+    assert ratio == pytest.approx(2.0 if said else 1.0)
+    assert (sure > 5.0) is said
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("unseen", ["nothing", "a part", "all but a disc", "the first frame"])
+@pytest.mark.parametrize("kind", [1.0, 1.0j])
+def test_what_is_not_seen_is_no_edge_that_is_looked_at(
+    kind: complex, unseen: str, seed: int
+) -> None:
+    """A hill of texture on a flat wall of a large level, and the shifts that it tells."""
+    rng, shape = np.random.default_rng(seed), (113, 151)
+    waves, phases = rng.uniform(-0.25, 0.25, (12, 2)), rng.uniform(0, 2 * np.pi, 12)
+    row, col = np.indices(shape, float)
+    frames = []
+    for down, right in SQUARE_PX:
+        r, c = row - down - 30, col - right - 108
+        turn = 2 * np.pi * (waves[:, 0, None, None] * r + waves[:, 1, None, None] * c)
+        hill = np.exp(-(r**2 + c**2) / (2 * 12**2))
+        frames.append(290.0 + 0.3 * hill * np.cos(turn + phases[:, None, None]).sum(axis=0))
+    y = np.stack(frames) + 0.02 * rng.standard_normal((4, *shape))
+    seen = np.ones(y.shape, bool)
+    if unseen == "a part":
+        seen[:, 75:105, 20:70] = False
+    elif unseen == "all but a disc":
+        seen[:] = np.hypot(row - 56, col - 75) < 72
+    elif unseen == "the first frame":
+        seen[0] = False
+    look = glance.glance(kind * y, 0 * SQUARE_PX, seen)
+    assert look is not None
+    np.testing.assert_array_equal(look.numbers, np.flatnonzero(seen.any(axis=(1, 2))))
+    true = SQUARE_PX[look.numbers]
+    np.testing.assert_allclose(look.found_px, true - true.mean(axis=0), atol=0.04)
+    assert glance.glance(kind * y, 0 * SQUARE_PX, seen & (np.arange(4) == 2)[:, None, None]) is None
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("off", "said"), [(2, None), (4, "no simple mistake")])
 def test_a_quarter_of_the_frames_lies_elsewhere_before_all_shifts_are_doubted(

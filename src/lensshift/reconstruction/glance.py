@@ -57,11 +57,14 @@ def glance(frames: ArrayLike, offset_px: ArrayLike, valid: Mask) -> Glance | Non
     None if that is too little.
     """
     values = np.asarray(frames)
-    evenly = np.linspace(0, len(values) - 1, min(len(values), MOST_FRAMES)).round()
-    some = np.unique(evenly.astype(np.intp))
+    shown = np.flatnonzero(np.any(valid, axis=(1, 2)))
+    if len(shown) < 2:
+        return None
+    evenly = np.linspace(0, len(shown) - 1, min(len(shown), MOST_FRAMES)).round()
+    some = shown[evenly.astype(np.intp)]
     offsets = np.asarray(offset_px, np.float64)[some]
     values, seen, given, about = _part(values[some], valid[some], offsets)
-    if len(values) < 2 or min(values.shape[1:]) < LEAST_PX or seen.mean() < 0.5:
+    if min(values.shape[1:]) < LEAST_PX or seen.mean() < 0.5:
         return None
     values = (values - _middle(values[seen])) / max(float(np.std(values[seen])), 1e-300)
     values = np.where(seen, values, 0.0)
@@ -98,18 +101,19 @@ def _part(values: Array, seen: Mask, offset_px: Shifts) -> tuple[Array, Mask, Sh
 
     And by how much [frame row col 2] the pixels' own shifts differ from those, if any do.
     """
-    from scipy.ndimage import uniform_filter
+    from scipy.ndimage import minimum_filter, uniform_filter
 
-    first = np.where(seen[0], values[0], 0.0)
-    down, right = np.gradient(first) if min(first.shape) > 1 else (first, first)
-    edge = seen[0] & np.roll(seen[0], 1, 0) & np.roll(seen[0], 1, 1)
+    first = int(np.argmax(seen.sum(axis=(1, 2))))  # that shows most
+    shown = np.where(seen[first], values[first], 0.0)
+    down, right = np.gradient(shown) if min(shown.shape) > 1 else (shown, shown)
+    edge = minimum_filter(seen[first], 3)  # and none of what was not seen
     span_px = float(np.ptp(offset_px, axis=tuple(range(offset_px.ndim - 1))).max())
     side = MOST_PX + (min(math.ceil(span_px), MOST_PX) if span_px > FAR_PX else 0)
     busy = [uniform_filter(np.abs(np.where(edge, g, 0.0)) ** 2, side) for g in (down, right)]
-    middle = np.unravel_index(int(np.argmax(np.minimum(*busy))), first.shape)
+    middle = np.unravel_index(int(np.argmax(np.minimum(*busy))), shown.shape)
     starts = (
         max(0, min(int(at) - side // 2, size - side))
-        for at, size in zip(middle, first.shape, strict=True)
+        for at, size in zip(middle, shown.shape, strict=True)
     )
     window = tuple(slice(start, start + side) for start in starts)
     about_px = None
