@@ -313,8 +313,13 @@ def test_flat_frames_stay_flat() -> None:
 def test_frames_far_outside_its_range_are_all_rejected_with_a_warning() -> None:
     frames, offset_px = small_burst()
     shifted = frames + np.array([0.0, 300.0, 600.0, 900.0])[:, None, None]
-    with pytest.warns(QualityWarning, match="rejects all 4 frames"):
-        irwsr_toolbox(shifted, offset_px, 2, prior_weight=0.01)
+    told = irwsr_toolbox(shifted, offset_px, 2, prior_weight=0.01)[0].notes
+    assert "rejects all 4 frames" in told["all_rejected"]
+    board = np.indices((9, 13)).sum(axis=0) % 2 + np.array([0.1, -0.1, 0.1, -0.1])[:, None, None]
+    burst = Burst.from_arrays(board, offset_px=offset_px)
+    with pytest.warns(QualityWarning, match="rejects all 4 frames") as said:
+        reconstruct(burst, method="irwsr-toolbox", prior_weight=0.01)
+    assert all(one.filename == __file__ for one in said)
 
 
 @pytest.mark.parametrize(

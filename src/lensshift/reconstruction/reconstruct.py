@@ -227,7 +227,8 @@ def _objected(
     found: dict[str, Estimate], doubt: Doubt | None, refuted: str | None, like_movement: str
 ) -> dict[str, Estimate]:
     """Warn once, where the user called, of what the frames say against the result."""
-    said = [refuted, *(estimate.notes.get("contradiction") for estimate in found.values())]
+    notes, keys = [one.notes for one in found.values()], ("contradiction", "all_rejected")
+    said = [refuted, *(one.get(key) for one in notes for key in keys)]
     for wrong in dict.fromkeys(text for text in said if text is not None):
         also = like_movement if "something moved" in wrong else ""
         warn_quality(f"{wrong}{also}", 3)

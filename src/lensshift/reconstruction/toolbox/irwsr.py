@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -10,7 +9,6 @@ import numpy as np
 from scipy import sparse
 
 from lensshift.core.arrays import Floats
-from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Estimate, Status
 from lensshift.reconstruction.toolbox.objective import (
     MajorisedProblem,
@@ -198,14 +196,11 @@ def _reweighted(
 def _estimate(
     state: _State, records: list[StepRecord], status: Status, shape: tuple[int, ...]
 ) -> Estimate:
-    """Wrap the final state; warn where the bias test has thrown every frame away."""
-    if not state.confidence.any():
-        warnings.warn(
-            f"the toolbox rejects all {shape[0]} frames: their median residuals exceed "
-            f"{BIAS_THRESHOLD}; it expects frames that range over about 0 to 1",
-            QualityWarning,
-            stacklevel=3,
-        )
+    """Wrap the final state; its notes tell where the bias test has thrown every frame away."""
+    notes = {} if state.confidence.any() else {
+        "all_rejected": f"the toolbox rejects all {shape[0]} frames: their median residuals "
+        f"exceed {BIAS_THRESHOLD}; it expects frames that range over about 0 to 1"
+    }  # fmt: skip
     return Estimate(
         image=state.x.reshape(state.shape),
         objective=tuple(record.objective for record in records),
@@ -213,4 +208,5 @@ def _estimate(
         confidence=state.confidence.reshape(shape),
         prior_weight=records[-1].prior_weight,
         noise_sigma=records[-1].noise_sigma,
+        notes=notes,
     )
