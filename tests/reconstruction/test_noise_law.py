@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -295,6 +296,20 @@ def test_so_many_times_the_noise_has_the_square_of_it_as_variance_at_any_light()
     law, light = NoiseLaw(0.3, 0.04, 0.1, 0.1, 0.9), np.linspace(0.0, 1.0, 7)
     np.testing.assert_allclose(law.times(0.6).variance(light), 0.36 * law.variance(light))
     assert law.times(0.6).sigma == pytest.approx(0.18)
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.27, 0.33, 0.5])
+@pytest.mark.parametrize("b", [0.0, 0.1])
+@pytest.mark.parametrize("of_frames", [(), (0.5, 2.0, 1.0)])
+def test_noise_that_is_at_least_so_much_is_more_where_there_is_more(
+    of_frames: tuple[float, ...], b: float, sigma: float
+) -> None:
+    """And frames that differ in it differ by as much."""
+    light = np.linspace(-0.1, 1.1, 9) * np.ones((3, 2, 1))
+    plain = NoiseLaw(float(np.sqrt(0.04 + 0.4 * b)), 0.04, b, 0.1, 0.9)
+    found = replace(plain, of_frames=of_frames).at_least(sigma).variance(light)
+    times = np.array(of_frames or (1.0, 1.0, 1.0))[:, None, None]
+    np.testing.assert_allclose(found, times * np.maximum(plain.variance(light), sigma**2))
 
 
 @pytest.mark.parametrize("unit", [1.0, 250.0])

@@ -83,12 +83,11 @@ class NoiseLaw:
         return replace(self, sigma=self.sigma * factor, a=a, b=b, ceiling=False)
 
     def at_least(self, sigma: float) -> NoiseLaw:
-        """Return the law with so much noise wherever it has less."""
-        bright = float(np.max(self.variance(np.array(self.brightest)))) if self.b > 0 else 0.0
-        if sigma**2 >= bright:
-            return constant_noise(max(sigma, self.sigma))
-        darkest = max(self.darkest, (sigma**2 - self.a) / self.b)
-        return replace(self, sigma=max(sigma, self.sigma), darkest=darkest)
+        """Return the law with so much noise, of a usual frame, wherever it has less."""
+        most = max(sigma, self.sigma)
+        if self.b <= 0 or sigma**2 >= self.a + self.b * self.brightest:
+            return replace(constant_noise(most), of_frames=self.of_frames)
+        return replace(self, sigma=most, darkest=max(self.darkest, (sigma**2 - self.a) / self.b))
 
     def of_other_frames(self, variance: Floats, light: float) -> NoiseLaw:
         """Return the law of frames [frame] that have these variances where the light is this."""
