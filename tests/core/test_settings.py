@@ -79,6 +79,21 @@ class Group:
     on: bool = False
 
 
+class Tool:
+    """The same of a class that is no dataclass."""
+
+    def __init__(self, number: int, tool: Any = None, on: bool = False) -> None:
+        self.told = (number, tool, on)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Tool) and self.told == other.told
+
+
+def make(number: int, tool: Any = None, on: bool = False) -> Group:
+    return Group(number, tool, on)
+
+
+@pytest.mark.parametrize("kind", [Group, Tool, make])
 @pytest.mark.parametrize(
     ("table", "said"),
     [
@@ -88,11 +103,13 @@ class Group:
         ({"number": "1"}, "t.number: expected int, got '1'"),
     ],
 )
-def test_a_table_that_does_not_fit_is_refused(table: dict[str, object], said: str) -> None:
+def test_a_table_that_does_not_fit_is_refused(
+    table: dict[str, object], said: str, kind: Callable[..., object]
+) -> None:
     with pytest.raises(DataError) as caught:
-        built(Group, table, "t")
+        built(kind, table, "t")
     assert str(caught.value).startswith(said)
-    assert built(Group, {"number": 3, "on": True}, "t") == Group(3, None, True)
+    assert built(kind, {"number": 3, "on": True}, "t") == kind(3, None, True)
 
 
 @pytest.mark.parametrize(

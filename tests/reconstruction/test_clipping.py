@@ -214,6 +214,7 @@ def test_a_blank_frame_is_named_and_left_out(method: str) -> None:
     ) as all_:
         found = reconstruct(burst, method=method)
     assert len(all_) == 1
+    assert all_[0].filename == __file__
     valid = np.ones(y.shape, bool)
     valid[0] = False
     others = reconstruct(replace(burst, valid=valid), method=method)
@@ -227,8 +228,11 @@ def test_a_copy_of_a_frame_is_left_out_and_makes_no_noise_less() -> None:
         y = seen(seed, places)
         y[2] = y[1]
         burst = Burst.from_arrays(y, offset_px=places, pitch_mm=0.1)
-        with pytest.warns(QualityWarning, match=r"noise and all, are left out: frame 2 \(of 1\)"):
+        with pytest.warns(
+            QualityWarning, match=r"noise and all, are left out: frame 2 \(of 1\)"
+        ) as said:
             found = reconstruct(burst, 2, psf_sigma_px=12**-0.5)["amplitude"]
+        assert said[0].filename == __file__
         assert found.noise_sigma is not None
         assert 0.7 * SIGMA < found.noise_sigma < 1.5 * SIGMA
         three = Burst.from_arrays(y[[0, 1, 3]], offset_px=places[[0, 1, 3]], pitch_mm=0.1)

@@ -163,6 +163,19 @@ def test_what_surrounds_an_error_of_a_shift_is_believed_less_if_it_is_movement(
     assert np.all(weight[:2] == 1.0)
 
 
+@pytest.mark.parametrize(("columns", "lit"), [(4, False), (5, True)])
+def test_less_than_a_window_of_pixels_tells_no_light(columns: int, lit: bool) -> None:
+    rng = np.random.default_rng(3)
+    model = forward_model(SHAPE, 2, square(2))
+    y = model.predict(np.ones(model.hr_shape)) * np.array([1.0, 1.5, 0.7, 1.0])[:, None, None]
+    y += SIGMA * rng.standard_normal(y.shape)
+    sigma = np.full(y.shape, np.inf)
+    sigma[:, 8:13, 9 : 9 + columns] = SIGMA
+    found = find_misfit(model.operator, np.ones(model.hr_shape), y, sigma, 2)
+    assert (found.brightness > 1.0) is lit
+    assert lit or found.brightness == 0.0
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_right_bursts_raise_no_alarm(seed: int) -> None:
     seen = mosaic_burst(400 + seed, SHAPE, snr=(20.0, 60.0, 200.0)[seed % 3])

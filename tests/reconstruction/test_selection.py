@@ -209,6 +209,27 @@ def test_the_predicting_weight_of_complex_frames_is_that_of_their_parts(A: Linea
     assert min(alone) / 4 < both < max(alone) * 4
 
 
+@pytest.mark.parametrize("halves", range(-6, 8))
+def test_the_predicting_weight_is_where_exact_cross_validation_is_least(halves: int) -> None:
+    """A scene in half of the pixels, noise in all, and a filter that spares the scene.
+
+        V = 2 (S a^2 + s^2 b^2) / (a + b)^2,   a = 1 / (1 + lambda),  b = 1 / (r + lambda)
+
+    is least where s^2 (1 + lambda) = S (r + lambda): at 0.1 for S = 10 s^2 and r = 0.01.
+    """
+    rng, size = np.random.default_rng(halves + 6), (400, 600)
+    scene = np.arange(size[1]) < size[1] // 2
+    y = rng.standard_normal((1, *size)) * np.where(scene, 10**0.5, 1.0)
+    A = LinearOperator(size, (1, *size), lambda x: x[None], lambda z: z[0])
+
+    def solve(value: float, frames: np.ndarray) -> np.ndarray:
+        return frames[0] * np.where(scene, 1 / (1 + value), 1 / (1 + value / 0.01))
+
+    start = 0.1 * 10 ** (halves / 2)
+    chosen = predicting_weight(solve, A, y, np.ones(y.shape), start, 1e-9)
+    assert chosen == pytest.approx(0.1)
+
+
 METHODS = ["tikhonov", "tv", "l1-btv", "map", "irwsr"]
 
 

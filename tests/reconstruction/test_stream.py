@@ -380,6 +380,23 @@ def views(rest, other):
     return (View(model, np.ones(rest.shape), one, valid, 0.1) for one in (rest, other))
 
 
+@pytest.mark.parametrize("turn", [1.0, np.exp(0.7j)])
+def test_errors_of_shifts_and_noise_leave_the_variance_of_a_view(turn):
+    """A ramp whose frames lie off by 0.1 px (rms) along either axis; of each component."""
+    rng, draws, sigma, slopes = np.random.default_rng(3), 2000, 0.02, np.array([0.3, -0.5])
+    row, col = np.indices((7, 11))
+    seen = turn * (slopes[0] * row + slopes[1] * col)
+    model = forward_model(seen.shape, 1, np.zeros((1, 2)), blur=GaussianBlur(0.0))
+    noise = sigma * rng.standard_normal((2, draws, *seen.shape))
+    off = ALLOWED_SHIFT_PX * rng.standard_normal((draws, 2)) @ slopes * turn
+    rest = off[:, None, None] + (noise[0] + 1j * noise[1] if turn != 1.0 else noise[0])
+    squares = [View(model, seen, one, np.ones(seen.shape, bool), sigma).squares for one in rest]
+    variance = View(model, seen, rest[0], np.ones(seen.shape, bool), sigma).variance
+    np.testing.assert_allclose(
+        np.mean(squares, axis=0)[1:-1, 1:-1], variance[1:-1, 1:-1], rtol=0.15
+    )
+
+
 @pytest.mark.parametrize(("size", "left"), [(1.0, 0.0), (0.4, 0.0), (-1.0, -1.0), (1.5, 0.5)])
 def test_what_was_left_before_is_no_news(size, left):
     """As much of it as is seen again, but no more than there was and none turned round."""

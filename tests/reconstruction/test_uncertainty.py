@@ -14,6 +14,7 @@ from pixel_camera import (
     truth,
 )
 
+from lensshift.reconstruction.problem import _own_error_px
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.reconstruction.uncertainty import PropagatedStd
 
@@ -193,3 +194,16 @@ def test_std_of_plain_methods_is_the_spread_of_their_pictures(
     ]
     spread = np.sqrt(np.mean(np.var([one.image for one in found], axis=0, ddof=1)))
     assert np.sqrt(np.mean(found[0].std ** 2)) == pytest.approx(spread, rel=0.15)
+
+
+@pytest.mark.parametrize("usual_px", [0.02, 3.0])
+def test_only_what_a_shift_errs_by_more_than_the_others_is_its_own(usual_px: float) -> None:
+    """The reference errs by nothing; where all err alike nobody is to be believed less."""
+    sigma_px = usual_px * np.ones((6, 2))
+    sigma_px[0] = 0.0
+    np.testing.assert_array_equal(_own_error_px(sigma_px, 6), 0.0)
+    sigma_px[4] = usual_px * np.array([3.0, 5.0])
+    own = _own_error_px(sigma_px, 6)
+    assert own[4] == pytest.approx(usual_px * 4.0)  # the mean of 9 and 25, less 1
+    assert not np.delete(own, 4).any()
+    np.testing.assert_array_equal(_own_error_px(np.zeros((3, 2)), 3), 0.0)

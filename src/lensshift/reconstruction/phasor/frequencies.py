@@ -142,6 +142,11 @@ class Tones:
         return np.asarray(beyond_m > math.sqrt(SURE) * self.std_rad[lowest] * m_per_rad)
 
     @property
+    def spare(self) -> int:
+        """How many phases there are beyond the one that tells the distance, at least 1."""
+        return max(len(self.hz) - 1, 1)
+
+    @property
     def rad_per_m(self) -> Floats:
         """4 pi f / c, [frequency ...]."""
         per_m = 4.0 * np.pi / SPEED_OF_LIGHT_MPS * np.asarray(self.hz)
@@ -218,8 +223,8 @@ def doubt_about_phases(pictures: Tones) -> str:
         return readings[best][1]
     return (
         f"the phases of {told} Hz fit no distance (chi-square {given:.3g}, by the noise "
-        f"{max(len(pictures.hz) - 1, 1)}): is a frequency another one, or are its phases not "
-        "calibrated (an offset, other light that took part)? Distances may be turns off"
+        f"{pictures.spare}): is a frequency another one, or are its phases not calibrated (an "
+        "offset, other light that took part)? Distances may be turns off"
     )
 
 
@@ -242,7 +247,7 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     other. Beside an edge what a picture hides is the same in all of them, as noise is not.
     """
     found_m, least, sure = pictures.alone()
-    doubt = np.maximum(least / max(len(pictures.hz) - 1, 1), 1.0)
+    doubt = np.maximum(least / pictures.spare, 1.0)
     alike = _alike(found_m, pictures.sigma_m, pictures.turn_m)
     edge = alike < _neighbours(alike.shape)
     std_m = np.where(edge, pictures.shared_m, pictures.sigma_m) * np.sqrt(doubt)
@@ -263,21 +268,20 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
         if np.array_equal(before_m, found_m[asked]):
             break
     alike = _alike(found_m, pictures.sigma_m, pictures.turn_m)
-    surface, margin_m = alike >= CORNER, ALIKE * pictures.turn_m
-    low_m, high_m = _reach(found_m, surface, margin_m)
+    surface = alike >= CORNER
     beside_m = _reach(found_m, surface, 0.0, BESIDE_HR_PX)
     thin = asked & ~surface & (alike >= LINE) & np.isfinite(beside_m[0])
     thin[[0, -1]] = thin[:, [0, -1]] = False  # which may mix what the picture does not show
     mixed = pictures.at(thin).mixed(*(one_m[thin] for one_m in beside_m))
     surface[thin] = mixed / doubt[thin] - _least(cost, total)[thin[asked]] > SURE
-    low_m, high_m = _reach(found_m, surface, margin_m)
+    low_m, high_m = _reach(found_m, surface, ALIKE * pictures.turn_m)
     beyond_m = np.maximum(low_m[asked] - tried_m, tried_m - high_m[asked])
     beyond_m[:, some.sees_beyond(low_m[asked], high_m[asked], seen_m[1])] = 0.0
     total += FORBIDDEN * np.maximum(beyond_m, 0.0)
     found_m[asked] = _least(tried_m, total)
     likely = np.exp(0.5 * (total.min(axis=0) - total))
     likely /= likely.sum(axis=0)
-    contradiction = np.maximum(_least(cost, total) / max(len(pictures.hz) - 1, 1), 1.0)
+    contradiction = np.maximum(_least(cost, total) / pictures.spare, 1.0)
     found_m[asked] = np.sum(likely * tried_m, axis=0)
     others = np.sum(likely * (tried_m - found_m[asked]) ** 2, axis=0)
     std_m[asked] = np.sqrt(std_m[asked] ** 2 * contradiction + others)
@@ -297,7 +301,7 @@ def _seen_from_to(some: Tones) -> tuple[float, float]:
     numbers = some.turns()
     cost = np.stack([some.in_turn(number)[1].astype(np.float32) for number in numbers])
     least = cost.min(axis=0)
-    doubt = np.maximum(least / max(len(some.hz) - 1, 1), 1.0)
+    doubt = np.maximum(least / some.spare, 1.0)
     fits = np.exp((least - cost) / (2.0 * doubt))
     often: Floats = np.full(len(numbers), 1.0 / len(numbers))
     for _ in range(EM_ROUNDS):
