@@ -75,6 +75,26 @@ def test_a_frame_without_pixels_and_a_weight_that_stands_for_noise() -> None:
     assert np.isfinite(told).all()
 
 
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("share", [0.01, 0.05])
+@pytest.mark.parametrize("level", [0.0, 290.0, 3.0 + 5.0j])
+def test_gaps_and_levels_hide_no_noisy_frame_and_make_none(
+    level: complex, share: float, seed: int
+) -> None:
+    for sigma in (0.01 * np.ones(6), np.array([1, 1, 1, 1, 4, 1]) * 0.01):
+        rng = np.random.default_rng([seed, 45])
+        offset_px = rng.uniform(-0.6, 0.6, (6, 2))
+        y = photograph((smooth_scene, edge_scene)[seed], SHAPE, offset_px)
+        noise = sigma[:, None, None] * rng.standard_normal((2, *y.shape))
+        y = y + level + noise[0] + (1j * noise[1] if isinstance(level, complex) else 0.0)
+        weight = (rng.random(y.shape) > share) * 1.0
+        law = _law(np.where(weight > 0, y, 0.0), offset_px, weight)
+        if np.ptp(sigma) == 0.0:
+            assert law.of_frames == ()
+        else:
+            np.testing.assert_allclose(_sigma(law, abs(level + 0.5)), sigma, rtol=0.35)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_noisy_frame_is_believed_less_and_none_is_accused(seed: int) -> None:
     rng = np.random.default_rng([seed, 44])

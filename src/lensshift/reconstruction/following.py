@@ -32,6 +32,7 @@ MOST_SIGMAS = 3.0
 AROUND_PX = 9
 # Of the largest weight: where no pixel is believed nothing is known to change.
 LEAST_WEIGHT = 1e-9
+TINY = np.finfo(np.float64).tiny  # where a sum that is divided by may be 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ class View:
         """[row col] what noise and errors of the shifts leave in a component."""
         steep = sum(np.abs(slope) ** 2 for slope in image_slopes(self.seen))
         of_shifts = ALLOWED_SHIFT_PX**2 / self.components * np.asarray(steep)
-        return np.maximum(self.noise_sigma**2 + of_shifts, np.finfo(np.float64).tiny)
+        return np.maximum(self.noise_sigma**2 + of_shifts, TINY)
 
     @property
     def basis(self) -> Array:
@@ -82,23 +83,22 @@ class View:
 
         What no picture explains, as errors of the shifts, is in both frames; their noise is not.
         """
-        tiny = np.finfo(np.float64).tiny
         both = (self.rest * before.rest.conj()).real / self.components
-        share = mean_around(both, WINDOW_PX) / (mean_around(before.squares, WINDOW_PX) + tiny)
+        share = mean_around(both, WINDOW_PX) / (mean_around(before.squares, WINDOW_PX) + TINY)
         share, valid = np.clip(share, 0, 1), self.valid & before.valid
         return replace(self, rest=np.where(valid, self.rest - share * before.rest, 0), valid=valid)
 
     @cached_property
     def _told(self) -> tuple[Array, Floats, Floats]:
         """c, |c|^2 around it less t^2, and t^2, as in `change`; of a component, [row col]."""
-        left, tiny = self, np.finfo(np.float64).tiny
+        left = self
         for _ in range(2):  # light that sinks is far off all over, until it is taken off
             size = np.sqrt(left.squares / self.variance)
             weight = np.minimum(1.0, MOST_SIGMAS / np.maximum(size, 1e-12)) / self.variance
             weight *= self.valid
             known = gaussian_around(weight * np.abs(self.basis) ** 2, LOW_PASS_PX)
             of_basis = gaussian_around(weight * np.conj(self.basis) * self.rest, LOW_PASS_PX)
-            least = max(LEAST_WEIGHT * float(known.max()), tiny)
+            least = max(LEAST_WEIGHT * float(known.max()), TINY)
             c = np.where(known > least, of_basis / np.maximum(known, least), 0)
             left = self.without(c)
         noise = 1 / (4 * math.pi * LOW_PASS_PX**2 * np.maximum(known, least))
@@ -136,9 +136,8 @@ class View:
         """
         _, more, noise = self._told
         left = self._share**2 * noise + (1 - self._share) ** 2 * np.maximum(more, before)
-        tiny = np.finfo(np.float64).tiny
         factor = np.abs(1 + self.change) ** 2 if self.components == 2 else 1.0
-        return np.asarray(left / np.maximum(factor, tiny))
+        return np.asarray(left / np.maximum(factor, TINY))
 
     def without(self, change: Array) -> View:
         """Return what is left beside a picture that has changed so."""

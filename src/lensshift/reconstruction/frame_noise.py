@@ -19,9 +19,9 @@ from functools import lru_cache
 import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
-from lensshift.core.order import quantile
+from lensshift.core.order import median, quantile
 from lensshift.reconstruction.noise_law import MOST_FRAMES, NoiseLaw, windows
-from lensshift.reconstruction.smooth_fit import MIDDLE, SmoothFits, smooth_fits
+from lensshift.reconstruction.smooth_fit import MIDDLE, SmoothFits, refilled, smooth_fits
 
 BLOCK_PX, BORDER_PX = 3, 1
 # The calm half of the blocks by slope, of these the quartiles; fewer say nothing.
@@ -85,15 +85,19 @@ def _variances(
     """Return variances [frame] and the light in calm places, and whether a frame surely differs."""
     seen, used = windows(y), windows(used)
     parts = [seen.real, seen.imag] if y.dtype.kind == "c" else [seen]
-    unit = float(np.sqrt(np.mean(np.abs(seen[used]) ** 2))) if used.any() else 0.0
-    if unit == 0.0 or min(seen.shape[-2:]) < 2 * BORDER_PX + BLOCK_PX:
+    if not used.any() or min(seen.shape[-2:]) < 2 * BORDER_PX + BLOCK_PX:
         return None
-    values = np.stack([np.where(used, part, 0.0) for part in parts]) / unit
+    values = np.stack([np.where(used, part - median(part[used]), 0.0) for part in parts])
+    unit = float(np.sqrt(np.sum(values**2) / np.count_nonzero(used))) or 1.0
+    values = (values / unit).astype(np.float32)
     offset = np.round(offset_px - offset_px[0], 6)  # what rounding adds is no new case
     geometry = offset.tobytes(), len(y), used.shape[-2:], round(float(blur_px), 3)
     fits = smooth_fits(*geometry)
+    if not used.all():  # else the fit rings beside each gap
+        left = (fits.residuals(one, MIDDLE)[0] for one in values)
+        values = np.stack([refilled(fits, *both, ~used) for both in zip(values, left, strict=True)])
     lit = np.abs(seen) if len(parts) == 2 else seen
-    calm = _calm(fits, values.astype(np.float32), used, lit)
+    calm = _calm(fits, values, used, lit)
     if calm is None:
         return None
     white, spread, leak = _white(*geometry, len(parts))
