@@ -168,9 +168,3 @@ def elsewhere(
             off_px[k] = (float(down), float(right))
             everywhere &= float(telling[used[k]].mean()) > TELLING_SHARE
     return off_px, everywhere
-
-
-def middle(values: Array, on: Mask) -> Array:
-    """Return the median [frame] of values [frame pixel] where to look."""
-    ordered = np.sort(np.where(on, values, np.inf), axis=-1)
-    return np.take_along_axis(ordered, on.sum(axis=-1, keepdims=True) // 2, axis=-1)

@@ -28,7 +28,6 @@ from lensshift.reconstruction.displacement import (
     displaced,
     elsewhere,
     fits,
-    middle,
     slopes_of,
     some_pixels,
     usual,
@@ -319,7 +318,7 @@ def _brightness(
     on, r, terms, variance, doubt = (
         v[enough] for v in (on, *(some_pixels(v) for v in (r, terms, variance, doubt)))
     )
-    odd = np.maximum(doubt / np.maximum(middle(doubt, on), 1e-12), 1.0)
+    odd = np.maximum(doubt / np.maximum(usual(doubt, on)[:, None], 1e-12), 1.0)
     fit, covariance = fits(terms, variance * odd**2, r, on)
     fit = fit[:, None]
     own = fit[..., :2] - fit[..., :2].mean(axis=0)  # what all share is the picture's
