@@ -59,3 +59,19 @@ def test_zeros_that_cut_no_noise_off_are_what_they_are(kind: str, seed: int) -> 
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message="noise is cut off")
         lensshift.reconstruct(Burst.from_arrays(y, offset_px=offset_px), std=False)
+
+
+@pytest.mark.parametrize("fill", [0.0, np.nan])
+def test_where_no_frame_has_a_valid_pixel_nothing_is_divided_by_nothing(fill: float) -> None:
+    frames, offset_px, rng = _frames(4, 3)
+    y = np.maximum(frames + 0.2 * rng.standard_normal(frames.shape), 0.0)
+    valid = np.ones(y.shape, bool)
+    valid[:, 4:11, 6:13] = valid[:, -4:] = False
+    burst = Burst.from_arrays(np.where(valid, y, fill), offset_px=offset_px, valid=valid)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        found = lensshift.reconstruct(burst).amplitude
+    assert found is not None
+    assert np.all(np.isfinite(found.image))
+    assert any("noise is cut off" in str(one.message) for one in said)
+    assert all(one.category is lensshift.QualityWarning for one in said)

@@ -47,7 +47,8 @@ def before_the_cut(
     clipped, used, end = problem.clipped & ~at_end, problem.weight > 0, problem.y[at_end][0]
     problem = replace(problem, clipped=clipped if clipped.any() else None)
     law = estimated_noise(problem)
-    light = _around(np.mean(np.where(used, problem.y - end, 0.0), axis=0)) / _around(used.mean(0))
+    light = np.mean(np.where(used, problem.y - end, 0.0), axis=0)
+    light = _around(light) / np.maximum(_around(used.mean(axis=0)), 1e-3)
     dark = float(np.quantile(light[cut], DARKEST))
     left = math.sqrt(float(np.mean(law.variance(np.array(end + dark)))))
     u = np.interp(-left / dark, -_SPREAD / _MEAN, _LIGHT)
