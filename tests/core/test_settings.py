@@ -10,7 +10,7 @@ import pytest
 
 from lensshift.capture.opening import open_rig
 from lensshift.core.errors import DataError
-from lensshift.core.settings import built, fit, read_text
+from lensshift.core.settings import built, fit, parse_toml, read_text
 from lensshift.io.calibration_file import load_calibration
 from lensshift.optics.lens_file import load_lens
 from lensshift.optics.zmx import load_zmx
@@ -110,6 +110,15 @@ def test_a_table_that_does_not_fit_is_refused(
         built(kind, table, "t")
     assert str(caught.value).startswith(said)
     assert built(kind, {"number": 3, "on": True}, "t") == kind(3, None, True)
+
+
+@pytest.mark.parametrize("number", [2**63 - 1, -(2**63), 0])
+def test_integers_of_64_bits_are_taken_and_no_others(number: int) -> None:
+    assert parse_toml(f"[a]\nb = [{number}]") == {"a": {"b": [number]}}
+    beyond = number + (1 if number > 0 else -1)
+    if number:
+        with pytest.raises(DataError, match=r"a\.b\[0\]: expected an integer within 64 bits"):
+            parse_toml(f"[a]\nb = [{beyond}]")
 
 
 @pytest.mark.parametrize(

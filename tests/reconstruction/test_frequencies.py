@@ -246,6 +246,37 @@ def test_a_pole_that_no_mixture_of_the_wall_explains_stays_where_it_is(
     np.testing.assert_allclose(found_m[of_pole == 0], 5.0, atol=0.2)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_all_phases_are_back_where_the_likeliest_distance_fits_them(seed: int) -> None:
+    """Turn by turn, with the distance by least squares, for frequencies of unequal noise."""
+    rng, found, expected = np.random.default_rng(seed), [], []
+    for _ in range(40):
+        hz = np.sort(rng.choice([3, 4, 5, 6, 8, 9], 2, replace=False))[::-1] * 9e6
+        hz = hz + np.array([0.0, rng.choice([-1, 1]) * 10 ** rng.uniform(4.0, 5.6)])
+        std_rad, turn_m = (
+            10 ** rng.uniform(-3.0, -0.3, 2),
+            2 * np.pi / distance_to_phase(1.0, hz[0]),
+        )
+        nearest, repeat_m = np.inf, 200.0
+        for n in range(1, int(200.0 / turn_m) + 1):
+            left = n * hz / hz[0] - np.rint(n * hz / hz[0])
+            A, b = (2 * np.pi * hz / hz[0] / std_rad)[:, None], 2 * np.pi * left / std_rad
+            rest = b - A[:, 0] * np.linalg.lstsq(A, b, rcond=None)[0]
+            if (
+                n > 1
+                and abs(left).max() < nearest
+                and n * abs(left).max() < 1 / 20
+                and rest @ rest < 9
+            ):
+                repeat_m = min(n * turn_m, 200.0)
+                break
+            nearest = min(nearest, abs(left).max())
+        found.append(repeats_m(tuple(hz), std_rad))
+        expected.append(repeat_m)
+    np.testing.assert_allclose(found, expected)
+    assert len(set(expected)) > 5
+
+
 @pytest.mark.parametrize(
     ("told_mhz", "repeat_m"),
     [

@@ -22,7 +22,6 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 from lensshift.core.errors import DataError, about, naming
 
 T = TypeVar("T")
-_MOST_INTEGER = 1 << 63
 _MAX_TEXT_BYTES = 1 << 26  # a table of a shift for every pixel has some 20 MB
 
 
@@ -55,7 +54,7 @@ def parse_toml(text: str, source: str | Path = "") -> dict[str, Any]:
     except (ValueError, RecursionError) as error:  # integers and nesting beyond all bounds
         raise DataError(f"is not TOML: {error!s:.100}", source=source) from error
     for where, number in _integers(tables):
-        if not -_MOST_INTEGER <= number < _MOST_INTEGER:  # as TOML demands
+        if not -(1 << 63) <= number < 1 << 63:  # as TOML demands
             problem = f"expected an integer within 64 bits, got {number!r:.60}"
             raise DataError(problem, field=where, source=source)
     return tables
