@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.special import ndtr
 from stand_in import Call, Refused
 
 LENS = runpy.run_path(str(Path(__file__).resolve().parents[2] / "examples" / "measure_lens.py"))
@@ -97,6 +98,27 @@ def test_mtf_of_a_photograph_at_frequencies(call: Call, tmp_path: Path) -> None:
     linear = call("evaluate", "mtf", tmp_path / "photo.png", "--region", region, "--json")
     bent = json.loads(linear.stdout)["edges"][0]["mtf50"]["value"]
     assert abs(bent / TRUE_CPP - 1) > abs(edge["mtf50"]["value"] / TRUE_CPP - 1)
+
+
+def test_the_curve_has_the_frequency_that_is_asked_for(call: Call, tmp_path: Path) -> None:
+    """A ghost makes it wave: between its steps of 0.01 cycles a pixel it was 0.02 off."""
+    row, col = (np.arange(n) - (n - 1) / 2 for n in (60, 90))
+    place = col * np.cos(0.12) + row[:, None] * np.sin(0.12)
+    light = 0.82 * ndtr(place / 0.8) + 0.18 * ndtr((place - 15.3) / 0.8)
+    light += np.random.default_rng(4).normal(0.0, 0.001, light.shape)
+    np.save(tmp_path / "ghost.npy", 0.1 + 0.8 * light)
+    table = tmp_path / "mtf.csv"
+    done = call("evaluate", "mtf", tmp_path / "ghost.npy", "--region", "0,60,0,90",
+                "--at", "0.095", "--at", "0.3", "--csv", table, "--json")  # fmt: skip
+    assert done.exit_code == 0, done.output
+    rows = json.loads(done.stdout)["edges"][0]["at"]
+    for one in rows:
+        f = one["frequency"]
+        core = np.exp(-2 * (np.pi * 0.8 * f) ** 2)
+        expected = core * abs(0.82 + 0.18 * np.exp(-2j * np.pi * 15.3 * f))
+        assert one["value"] == pytest.approx(expected, abs=0.003)
+    curve = np.genfromtxt(table, delimiter=",", names=True)
+    assert len(curve) == 102  # a step beside 0.3 would be the same
 
 
 def test_a_jpeg_of_unknown_curve_is_questioned(call: Call, tmp_path: Path) -> None:

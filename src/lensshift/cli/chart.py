@@ -58,7 +58,7 @@ def chart(current: Session, asked: _ChartOptions) -> None:
 
     pictures, pitch = _pictures(asked)
     unit = images.frequency_unit(pitch, asked.focal_length_mm)
-    told = asked.edges.given() | {"workers": asked.workers, "context": context}
+    told = asked.edges.given(pitch.pitch_mm, unit) | {"workers": asked.workers, "context": context}
     with Progress("measuring edges") as progress:
         edges = measure_chart(pictures, pitch.pitch_mm, on_edge=progress.count, **told)
     wanted = [one / unit.factor for one in asked.edges.at or []]

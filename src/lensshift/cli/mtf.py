@@ -35,9 +35,18 @@ class EdgeOptions:
         None, "Frequency at which the MTF is wanted; again for each further one.", min=0.0
     )
 
-    def given(self) -> dict[str, Any]:
-        """Return the options of `measure_edges` that were given."""
-        return {k: one for k, one in asdict(self).items() if one is not None and k != "at"}
+    def given(self, pitch_mm: images.Pitch, unit: Unit) -> dict[str, Any]:
+        """Return the options of `measure_edges` that were given; `at` are in the unit."""
+        told = {k: one for k, one in asdict(self).items() if one is not None and k != "at"}
+        if self.at and self.method == "ml":
+            import numpy as np
+
+            # Between the steps of the curve, what a ghost makes wave would be cut short.
+            highest, wanted = 1.0 / min(pitch_mm), np.array(self.at) / unit.factor
+            steps = 0.01 * highest * np.arange(101)
+            apart = np.abs(steps[:, None] - wanted).min(axis=1) > 1e-9 * highest
+            told["frequency_lpmm"] = np.union1d(steps[apart], wanted[wanted <= highest])
+        return told
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +95,7 @@ def mtf(current: Session, asked: _MtfOptions) -> None:
     else:
         measured = images.measured_photograph(asked.of, asked.photo)
     unit = images.frequency_unit(measured, asked.focal_length_mm)
-    results = edges_of(measured, place, **asked.edges.given())
+    results = edges_of(measured, place, **asked.edges.given(measured.pitch_mm, unit))
     curve, frequency = _tell(current, results, unit, measured.length, asked.edges.at or [])
     current.result["image"] = asked.of.image
     first = "frequency_lpmm" if asked.focal_length_mm is None else "frequency_cycles_per_mrad"

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from lensshift.core.optical import MtfCurve
 from lensshift.evaluation.slanted_edge import result as numbers
@@ -18,7 +19,9 @@ from lensshift.evaluation.slanted_edge.prepare import EdgeFrames, UprightEdge
 from lensshift.evaluation.slanted_edge.result import EdgeResult, Interval, Profile, Region
 from lensshift.evaluation.slanted_edge.screening import screened
 
-_GRID: Vector = np.asarray(np.arange(151) * 0.01)  # cycles per unit width, for the crossings
+# Cycles per unit width, for the crossings: a cubic finds what a ghost 32 units away makes wave.
+_GRID: Vector = np.asarray(np.arange(301) * 0.005)
+_FINER = 4
 _FEWEST_ASIDE = 20  # pixels on either side of the edge
 
 
@@ -68,7 +71,9 @@ def _result(
     pitch_mm: float,
 ) -> EdgeResult:
     edge, ends = fit.edge, np.cumsum([block.size for block in blocks])
-    grid, to_nyquist, wanted = np.split(np.abs(fit.transform), ends[:-1])
+    _, to_nyquist, wanted = np.split(np.abs(fit.transform), ends[:-1])
+    grid_cpp = np.linspace(0.0, blocks[0][-1], _FINER * (ends[0] - 1) + 1)
+    grid = np.abs(CubicSpline(blocks[0], fit.transform[: ends[0]])(grid_cpp))
     low, high = np.quantile(wanted[:, 1:], (0.025, 0.975), axis=1)
     # Moduli scatter above 0: where their transforms lie on both sides of it, it may be 0.
     phased = fit.transform * np.exp(-1j * np.angle(fit.transform[:, :1]))
@@ -84,7 +89,7 @@ def _result(
     if scale > 1:  # by how much the edge moves between pixels of different phase
         aliasing_px = _moves_px(fit, (row % scale) * scale + col % scale)
     return EdgeResult(
-        **numbers.numbers_of(blocks[0], grid, to_nyquist, fit.normal_px, fit.esf, pitch_mm),
+        **numbers.numbers_of(grid_cpp, grid, to_nyquist, fit.normal_px, fit.esf, pitch_mm),
         method="ml", region=region, orientation="vertical" if edge.vertical else "horizontal",
         angle_rad=numbers.interval_of(edge.sign * fit.geometry[0]),
         position_px=_position(fit, region), rising=edge.sign > 0.0,
