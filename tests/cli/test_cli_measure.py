@@ -130,6 +130,11 @@ def test_star_without_blur_has_contrast_one(call: Call, tmp_path: Path) -> None:
     curve = found["curves"][0]  # type: ignore[index]
     assert np.array(curve["modulation"]) == pytest.approx(1.0, abs=0.02)
     assert len(found["curves"]) == 5  # type: ignore[arg-type]
+    dead = star()
+    dead[3:9, 40:60] = np.nan  # as pixels of an edge they are left out, not refused
+    np.save(tmp_path / "star.npy", dead)
+    kept = numbers(call, *wanted)["curves"][0]  # type: ignore[index]
+    assert np.array(kept["modulation"]) == pytest.approx(1.0, abs=0.02)
     assert table(tmp_path / "star.csv")["frequency"].max() <= 0.5
 
 
@@ -324,6 +329,8 @@ def test_depth_alone(call: Call, tmp_path: Path) -> None:
         (["depth", "edge.npy", "--plane", "0,9,0,9"], 2, "needs --focal-length-mm"),
         (["depth", "edge.npy", "edge.npy", "--min-step-m", "0"], 1, "a positive smallest step"),
         (["mtf", "edge.npy", "--focal-length-mm", "40"], 2, "needs the pitch"),
+        (["mtf", "colours.npy"], 1, "got the colours of (16, 40, 3)"),
+        (["mtf", "colours.png", "--bayer", "RGGB"], 1, "a raw mosaic, one number a pixel"),
         (["mtf", "missing.npy"], 1, "missing.npy"),
         (["mtf", "edge.npy", "--key", "distance"], 2, "arrays have names in NPZ and HDF5 files"),
         (["mtf", "edge.png", "--key", "distance"], 2, "arrays have names in NPZ and HDF5 files"),
@@ -335,6 +342,8 @@ def test_wrong_arguments(refused: Refused, arguments: list[str], code: int, mess
     np.save("edge.npy", edge())
     np.save("odd.npy", np.zeros((15, 33)))
     fromarray(np.uint8(200 * edge())).save("edge.png")
+    np.save("colours.npy", np.stack([edge(), 0.8 * edge(), 0.5 * edge()], axis=2))
+    fromarray(np.uint8(200 * np.load("colours.npy"))).save("colours.png")
     refused(["evaluate", *arguments], code, message)
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 
 Pitch = tuple[float, float]  # (row, col)
+_COLOURS = (3, 4)  # numbers a pixel, of colours and of those with an opacity; no image is as narrow
 _SAME_PITCH = 0.01  # as people round it; frequencies are told no better
 Region = tuple[int, int, int, int]  # row start, row stop, col start, col stop
 PitchOption = Annotated[
@@ -188,13 +189,16 @@ def measured_photograph(asked: ImageOptions, options: PhotoOptions) -> Measured:
             2,
         )
     light, channel = linear_light(read.values, curve), options.channel
+    if options.bayer is not None and light.ndim > 2:
+        told = "--bayer: expected a raw mosaic, one number a pixel, got a colour picture of it"
+        raise DataError(told, source=path)
     if options.bayer is None:
         steps = photograph.load_jpeg_steps(path)
         if steps is not None:  # in levels of the light
             span = int(read.values.max()) - int(read.values.min())
             steps *= (light.max() - light.min()) / max(span, 1)
         return replace(read, values=one_channel(light, channel), jpeg_steps=steps)
-    values, offset_px = bayer_frames(one_channel(light), options.bayer, channel or "green")
+    values, offset_px = bayer_frames(light, options.bayer, channel or "green")
     pitch = (2.0 * read.pitch_mm[0], 2.0 * read.pitch_mm[1])
     if len(values) == 1:
         return replace(read, values=values[0], pitch_mm=pitch)
@@ -310,6 +314,9 @@ def _one_frame(values: Array, path: Path, frame: int) -> Array:
         return values
     if values.ndim != 3:
         raise DataError(f"expected [row col] and frame 0, got shape {values.shape}", source=path)
+    if values.shape[2] in _COLOURS:
+        told = f"expected [frame row col], got the colours of {values.shape}; save one [row col]"
+        raise DataError(told, source=path)
     if not 0 <= frame < values.shape[0]:
         raise DataError(
             f"expected a frame from 0 to {values.shape[0] - 1}, got {frame}", source=path

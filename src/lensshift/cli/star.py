@@ -307,13 +307,16 @@ def _to_measure(asked: _PatternOptions) -> tuple[images.Measured, images.Unit]:
 
 
 def _one_image(asked: images.ImageOptions, photo: images.PhotoOptions) -> images.Measured:
-    """Read an image with a pattern; of a photograph one channel."""
+    """Read an image with a pattern; of a photograph one channel. NaN are left out."""
+    import numpy as np
+
     measured = images.measured_photograph(asked, photo)
     if measured.values.ndim > 2:
         raise typer.BadParameter(
             "the green pixels of a mosaic are two images of a pattern; take --channel red or blue"
         )
-    return measured
+    known = np.isfinite(measured.values)
+    return replace(measured, valid=known if measured.valid is None else measured.valid & known)
 
 
 def _pair(text: str | None, expected: str) -> Pair | None:
