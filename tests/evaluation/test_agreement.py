@@ -12,11 +12,11 @@ from lensshift.evaluation.slanted_edge import measure_edge
 SIGMA_PX, SHAPE = 0.9, (121, 141)
 
 
-def star(noise: float) -> np.ndarray:
-    """Return a square star of 24 cycles, averaged over pixels and blurred."""
+def star(noise: float, sigma_px: float = SIGMA_PX, cycles: int = 24) -> np.ndarray:
+    """Return a square star, averaged over pixels and blurred."""
     pixels = seen(
-        lambda row, col: 0.5 + 0.4 * np.sign(np.cos(24 * np.arctan2(row, col))),
-        SHAPE, (60.8, 70.3), SIGMA_PX, finer=5,
+        lambda row, col: 0.5 + 0.4 * np.sign(np.cos(cycles * np.arctan2(row, col))),
+        SHAPE, (60.8, 70.3), sigma_px, finer=5,
     )  # fmt: skip
     rng = np.random.default_rng(2)
     return pixels + noise * rng.standard_normal(SHAPE)
@@ -54,6 +54,22 @@ def test_one_blur_agrees_and_a_sharper_edge_flatters(noise: float) -> None:
     assert softer.verdict == "pattern flatters"
 
 
+def test_a_star_without_coarse_lines_does_not_judge_sharpening() -> None:
+    """Its lines begin beyond where sharpening lifts the curve: the contrast came out 20 % high."""
+    gain, sigmas = 0.6, (0.7, 2.0)
+    sharp, soft = (star(0.0, one, 40) for one in sigmas)
+    rng = np.random.default_rng(5)
+    image = (1.0 + gain) * sharp - gain * soft + 0.003 * rng.standard_normal(SHAPE)
+    found = siemens_star_mtf(image, cycles=40, pitch_mm=1.0, profile="square")
+    unsure = found.contrast_std / found.contrast
+    assert found.contrast > 1.1 * 0.8 * 4.0 / np.pi  # which no line tells
+    for blur_px, verdict in ((0.7, "agree"), (0.5, "edge flatters"), (0.95, "pattern flatters")):
+        light = (1.0 + gain) * edge(blur_px, 0.0) - gain * edge(sigmas[1], 0.0)
+        light += 0.003 * rng.standard_normal(light.shape)
+        judged = edge_and_pattern(measure_edge(light).mtf, found.mtf, unsure=unsure)
+        assert judged.verdict == verdict
+
+
 def test_errors_excuse_a_difference() -> None:
     f = np.linspace(0.01, 1.0, 50)
     edge_curve = MtfCurve(f, np.exp(-(f**2) * 4), np.full(50, 0.05))
@@ -69,3 +85,6 @@ def test_too_coarse_a_pattern_is_refused() -> None:
     coarse = MtfCurve(f[:5] / 10, np.ones(5), None)
     with pytest.raises(ValueError, match="a pattern with lines where"):
         edge_and_pattern(curve, coarse)
+    few = MtfCurve(f[:1] * 20.0, np.ones(1), None)
+    with pytest.raises(ValueError, match="lines finer than"):
+        edge_and_pattern(curve, few, unsure=0.01)

@@ -158,8 +158,8 @@ def resolution(current: Session, asked: _ResolutionOptions) -> None:
     """Ask a star, a zone plate or bars whether the edges beside them promise too much.
 
     A solver may draw edges sharper than it resolves. Of super-resolved images, trust the pattern.
-    The contrast at frequency 0 is extrapolated from coarse lines unless --levels gives it; how far
-    that may be off counts in the verdict.
+    Unless --levels gives the contrast at frequency 0, the coarsest lines are taken for as high as
+    the edge promises there, and finer ones are compared.
 
     \b
     Example:
@@ -190,10 +190,10 @@ def resolution(current: Session, asked: _ResolutionOptions) -> None:
             "that tell it, or two images with --pitch-mm"
         )
     # The pattern first: what does not fit of it is told before edges take their time.
-    pattern = _pattern(current, asked, seen)
+    pattern, unsure = _pattern(current, asked, seen)
     edges = edges_of(beside, place)
     average = average_curves(edges)
-    found = edge_and_pattern(average, pattern)
+    found = edge_and_pattern(average, pattern, unsure=unsure)
     _say_curve(current, average, unit, "edges" if len(edges) > 1 else "edge")
     _say_curve(current, pattern, unit, "pattern")
     low, high = (found.frequency_lpmm[end] * unit.factor for end in (0, -1))
@@ -201,6 +201,7 @@ def resolution(current: Session, asked: _ResolutionOptions) -> None:
         f"{found.verdict}: from {low:.3g} to {high:.3g} {unit.name} the edge promises "
         f"{found.edge.mean():.3f} of the contrast, the pattern shows {found.pattern.mean():.3f} "
         f"(difference {found.difference:+.3f} +- {found.std:.3f})"
+        + (", with the contrast that coarser lines tell" if unsure else "")
     )
     current.tell(found, "verdict difference std")
     current.result |= {"image": asked.of.image, "unit": unit.name}
@@ -209,8 +210,10 @@ def resolution(current: Session, asked: _ResolutionOptions) -> None:
     outputs.write_table(current, asked.csv, columns)
 
 
-def _pattern(current: Session, asked: _ResolutionOptions, seen: images.Measured) -> Any:
-    """Return the curve of the star, zone plate or bars."""
+def _pattern(
+    current: Session, asked: _ResolutionOptions, seen: images.Measured
+) -> tuple[Any, float]:
+    """Return the curve of the star, zone plate or bars, and how far off its contrast may be."""
     common = picked(seen, "pitch_mm valid") | {
         "levels": _pair(asked.levels, "levels like 100,3000")
     }
@@ -244,7 +247,8 @@ def _pattern(current: Session, asked: _ResolutionOptions, seen: images.Measured)
         chirp = 0.0 if asked.chirp is None else asked.chirp
         found = zone_plate_response(seen.values, chirp_lpmm_per_mm=chirp, **common)
     _say_contrast(current, found)
-    return found.radial if asked.chirp is not None else found.mtf
+    curve = found.radial if asked.chirp is not None else found.mtf
+    return curve, found.contrast_std / found.contrast
 
 
 def _lr_pitch_mm(seen: images.Measured) -> Pair | None:
@@ -296,7 +300,8 @@ def _say_contrast(current: Session, found: Any) -> None:
     if found.contrast_std > 0.0:
         current.say(
             f"contrast at frequency 0: {found.contrast:.3f} +- {found.contrast_std:.3f}, "
-            "extrapolated; --levels gives it"
+            "extrapolated, as if nothing (a halo, sharpening) changed before the coarsest lines; "
+            "--levels gives it"
         )
 
 

@@ -16,6 +16,8 @@ COMPARED = (0.1, 0.9)
 # targets (tests/evaluation/test_siemens.py: 0.006; tests/evaluation/test_edge_*.py).
 ALIKE = 0.03
 _SURE = 3.0  # standard errors
+_COARSE = 0.15  # of the range of frequencies, from the coarsest lines on, where both are the same
+_OF_MEDIAN = 1.25  # its standard error over that of a mean, of normal noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +27,7 @@ class Agreement:
     Parameters
     ----------
     frequency_lpmm : [n] rising
-    edge, pattern : [n] modulation
+    edge, pattern : [n] modulation; of an unsure contrast, that of the edge at coarse lines
     difference : mean of edge minus pattern
     std : its standard error
     verdict : "agree", "edge flatters" or "pattern flatters"
@@ -39,7 +41,7 @@ class Agreement:
     verdict: str
 
 
-def edge_and_pattern(edge: MtfCurve, pattern: MtfCurve) -> Agreement:
+def edge_and_pattern(edge: MtfCurve, pattern: MtfCurve, *, unsure: float = 0.0) -> Agreement:
     """Compare the MTF of an edge with the contrast of a star, zone plate or gratings.
 
         d = mean of (edge - pattern) where the edge is within 0.1 .. 0.9
@@ -48,32 +50,53 @@ def edge_and_pattern(edge: MtfCurve, pattern: MtfCurve) -> Agreement:
     A solver that knows what edges look like may draw them sharper than it resolves; a pattern of
     alternating lines shows what is there. They disagree where d exceeds 3 std and 0.03.
 
+    A contrast that was extrapolated holds nothing of what changes before the coarsest lines, as
+    behind sharpening or a halo. Then those lines tell the contrast, which the edge shows as well:
+    the pattern is scaled to the edge there, and finer lines are compared.
+
     Parameters
     ----------
     edge, pattern : curves over one unit of frequency; most of their errors are shared by all
         frequencies (the contrast at 0, the width of the edge)
+    unsure : contrast_std / contrast of the pattern's result; 0 where levels tell the contrast
 
     Raises
     ------
     ValueError
-        If no frequency of the pattern lies where the edge is within 0.1 .. 0.9.
+        If no frequency of the pattern lies where the edge is within 0.1 .. 0.9, or only coarse ones
+        and their contrast is not sure.
     """
-    promised = np.interp(pattern.frequency_lpmm, edge.frequency_lpmm, edge.modulation)
-    seen = pattern.frequency_lpmm <= edge.frequency_lpmm[-1]
-    seen &= (promised >= COMPARED[0]) & (promised <= COMPARED[1])
+    frequency, modulation = pattern.frequency_lpmm, pattern.modulation
+    promised = np.interp(frequency, edge.frequency_lpmm, edge.modulation)
+    within = (frequency <= edge.frequency_lpmm[-1]) & (promised >= COMPARED[0])
+    seen = within & (promised <= COMPARED[1])
     if not np.any(seen):
-        lines = pattern.frequency_lpmm
         raise ValueError(
             f"expected a pattern with lines where the edge promises {COMPARED[0]} to {COMPARED[1]} "
-            f"of the contrast, got lines from {lines[0]:.3g} to {lines[-1]:.3g}, where it promises "
-            f"{promised[0]:.3g} to {promised[-1]:.3g}"
+            f"of the contrast, got lines from {frequency[0]:.3g} to {frequency[-1]:.3g}, where it "
+            f"promises {promised[0]:.3g} to {promised[-1]:.3g}"
         )
-    frequency = pattern.frequency_lpmm[seen]
-    difference = float(np.mean(promised[seen] - pattern.modulation[seen]))
+    of_pattern = np.zeros_like(modulation) if pattern.std is None else pattern.std
+    of_scale = 0.0
+    if unsure > 0.0:
+        first = frequency[within][0]
+        end = first + _COARSE * (frequency[seen][-1] - first)
+        coarse, seen = within & (frequency <= end), seen & (frequency > end)
+        if not np.any(seen):
+            raise ValueError(
+                f"expected lines finer than {first:.3g}, which alone tell the contrast; give levels"
+            )
+        scale = float(np.median(modulation[coarse] / promised[coarse]))
+        alone = np.sqrt(np.maximum(of_pattern**2 - (unsure * modulation) ** 2, 0.0))
+        each = float(np.mean(alone[coarse] / promised[coarse])) / scale
+        of_scale = _OF_MEDIAN * each / np.sqrt(np.count_nonzero(coarse))
+        modulation, of_pattern = modulation / scale, alone / scale
+    frequency, promised, shown = frequency[seen], promised[seen], modulation[seen]
+    difference = float(np.mean(promised - shown))
     of_edge = 0.0 if edge.std is None else np.interp(frequency, edge.frequency_lpmm, edge.std)
-    of_pattern = 0.0 if pattern.std is None else pattern.std[seen]
-    std = float(np.hypot(np.mean(of_edge), np.mean(of_pattern)))
+    errors = np.mean(of_edge), np.mean(of_pattern[seen]), of_scale * np.mean(shown)
+    std = float(np.linalg.norm(errors))
     verdict = "agree"
     if abs(difference) > max(_SURE * std, ALIKE):
         verdict = "edge flatters" if difference > 0 else "pattern flatters"
-    return Agreement(frequency, promised[seen], pattern.modulation[seen], difference, std, verdict)
+    return Agreement(frequency, promised, shown, difference, std, verdict)

@@ -178,7 +178,8 @@ def contrast_at_zero(
     f as halos fall, f^2 as a Gaussian and a pixel, J1 as a disc out of focus of radius R; or, for
     a f, with the fall of a perfect lens to a cut-off. A Gaussian alone is taken unless others fit
     better by two deviations; then the mean of each a or cut-off and R that is possible, as it fits.
-    The error holds how far off they are.
+    The error holds how far off they are, but nothing of what changes before the lowest frequency,
+    as behind sharpening or a wide halo.
     """
     if levels is not None:
         low, high = levels
