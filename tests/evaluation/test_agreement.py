@@ -86,5 +86,5 @@ def test_too_coarse_a_pattern_is_refused() -> None:
     with pytest.raises(ValueError, match="a pattern with lines where"):
         edge_and_pattern(curve, coarse)
     few = MtfCurve(f[:1] * 20.0, np.ones(1), None)
-    with pytest.raises(ValueError, match="lines finer than"):
+    with pytest.raises(ValueError, match="besides the coarsest"):
         edge_and_pattern(curve, few, unsure=0.01)

@@ -285,7 +285,7 @@ GOOD = np.array([0.0, 0, 0, 1, 1, 1])
     ("values", "settings", "message"),
     [
         (GOOD[:3], {}, "at least 4 samples, got"),
-        (np.zeros((2, 3, 9)), {}, r"got \(2, 3, 9\)"),
+        (np.zeros((2, 3, 9)), {}, r"got shape \(2, 3, 9\)"),
         (GOOD * 1j, {}, "dtype complex128"),
         (np.where(GOOD > 0, np.nan, 0), {}, "got 3 NaN"),
         (np.ones(9), {}, "line 0: expected an edge, got plateaus of 1 and 1"),

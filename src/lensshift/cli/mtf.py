@@ -115,12 +115,8 @@ def edges_of(measured: Measured, region: Region | None, **options: Any) -> list[
 
 
 def _tell(
-    current: Session,
-    results: Sequence[EdgeResult],
-    unit: Unit,
-    length: str,
-    at: Sequence[float],
-) -> tuple[MtfCurve, Any]:
+    current: Session, results: Sequence[EdgeResult], unit: Unit, length: str, at: Sequence[float],
+) -> tuple[MtfCurve, Any]:  # fmt: skip
     """Print and keep the numbers of edges and of their mean; return its curve and frequencies."""
     from lensshift.evaluation.chart import modulation_at
     from lensshift.evaluation.slanted_edge import average_curves, average_interval, usable_edges
@@ -161,12 +157,9 @@ def _tell(
 
 
 def _say_numbers(
-    current: Session,
-    numbers: dict[str, Interval],
-    unit: Unit,
-    length: str,
+    current: Session, numbers: dict[str, Interval], unit: Unit, length: str,
     nyquist_lpmm: float | None = None,
-) -> None:
+) -> None:  # fmt: skip
     for name, label, kind in NUMBERS:
         number, ending = numbers[name], {"frequency": f" {unit.name}", "length": f" {length}"}
         told = ending.get(kind, "")

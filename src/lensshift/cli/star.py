@@ -23,6 +23,7 @@ LevelsOption = Annotated[
     str | None, typer.Option(help="Values of large black and white areas, as black,white.")
 ]
 
+_CENTER = "a centre like 7.5,31.5"
 _LEVELS = (0.5, 0.3, 0.1)  # of contrast, where curves are read off by custom
 
 
@@ -58,7 +59,8 @@ def star(current: Session, asked: _StarOptions) -> None:
     measured, unit = _to_measure(asked)
     found = siemens_star_mtf(
         measured.values, radius_range_mm=_pair(asked.radius, "radii like 0.4,1.2"),
-        **picked(asked, "cycles profile sectors"), **_told(asked, measured),
+        center_px=_pair(asked.center_px, _CENTER), **picked(asked, "cycles profile sectors"),
+        **_told(asked.levels, measured),
     )  # fmt: skip
     _say_place(current, asked, found, f"star of {asked.cycles} cycles")
     current.result["cycles"] = asked.cycles
@@ -88,7 +90,7 @@ def zone(current: Session, asked: _ZoneOptions) -> None:
     measured, unit = _to_measure(asked)
     found = zone_plate_response(
         measured.values, chirp_lpmm_per_mm=asked.chirp, lr_pitch_mm=_lr_pitch_mm(measured),
-        **_told(asked, measured),
+        center_px=_pair(asked.center_px, _CENTER), **_told(asked.levels, measured),
     )  # fmt: skip
     _say_place(current, asked, found, "zone plate")
     for name in ("radial", "row", "col"):
@@ -214,9 +216,7 @@ def _pattern(
     current: Session, asked: _ResolutionOptions, seen: images.Measured
 ) -> tuple[Any, float]:
     """Return the curve of the star, zone plate or bars, and how far off its contrast may be."""
-    common = picked(seen, "pitch_mm valid") | {
-        "levels": _pair(asked.levels, "levels like 100,3000")
-    }
+    common = _told(asked.levels, seen)
     found: Any
     if asked.bars:
         from lensshift.evaluation.gratings import gratings_mtf
@@ -269,13 +269,10 @@ def _group(text: str, seen: images.Measured) -> tuple[float, images.Region | Non
     return frequency, images.parse_region(region or None)
 
 
-def _told(asked: _PatternOptions, measured: images.Measured) -> dict[str, Any]:
-    """Return what stars and zone plates are measured with alike."""
-    center = _pair(asked.center_px, "a centre like 7.5,31.5")
-    return picked(measured, "pitch_mm valid") | {
-        "center_px": center,
-        "levels": _pair(asked.levels, "levels like 100,3000"),
-    }
+def _told(levels: str | None, measured: images.Measured) -> dict[str, Any]:
+    """Return what patterns are measured with alike."""
+    known = {"levels": _pair(levels, "levels like 100,3000")}
+    return picked(measured, "pitch_mm valid") | known
 
 
 def _draw(

@@ -70,22 +70,23 @@ def edge_and_pattern(edge: MtfCurve, pattern: MtfCurve, *, unsure: float = 0.0) 
     promised = np.interp(frequency, edge.frequency_lpmm, edge.modulation)
     within = (frequency <= edge.frequency_lpmm[-1]) & (promised >= COMPARED[0])
     seen = within & (promised <= COMPARED[1])
+    coarse = np.zeros_like(seen)
+    if unsure > 0.0 and np.any(seen):
+        first = frequency[within][0]
+        coarse = within & (frequency <= first + _COARSE * (frequency[seen][-1] - first))
+        seen &= ~coarse
     if not np.any(seen):
+        told = (
+            ", besides the coarsest ones, which tell the contrast without levels," if unsure else ""
+        )
         raise ValueError(
-            f"expected a pattern with lines where the edge promises {COMPARED[0]} to {COMPARED[1]} "
-            f"of the contrast, got lines from {frequency[0]:.3g} to {frequency[-1]:.3g}, where it "
-            f"promises {promised[0]:.3g} to {promised[-1]:.3g}"
+            f"expected a pattern with lines{told} where the edge promises {COMPARED[0]} to "
+            f"{COMPARED[1]} of the contrast, got lines from {frequency[0]:.3g} to "
+            f"{frequency[-1]:.3g}, where it promises {promised[0]:.3g} to {promised[-1]:.3g}"
         )
     of_pattern = np.zeros_like(modulation) if pattern.std is None else pattern.std
     of_scale = 0.0
     if unsure > 0.0:
-        first = frequency[within][0]
-        end = first + _COARSE * (frequency[seen][-1] - first)
-        coarse, seen = within & (frequency <= end), seen & (frequency > end)
-        if not np.any(seen):
-            raise ValueError(
-                f"expected lines finer than {first:.3g}, which alone tell the contrast; give levels"
-            )
         scale = float(np.median(modulation[coarse] / promised[coarse]))
         alone = np.sqrt(np.maximum(of_pattern**2 - (unsure * modulation) ** 2, 0.0))
         each = float(np.mean(alone[coarse] / promised[coarse])) / scale

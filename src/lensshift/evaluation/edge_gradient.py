@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import warn_quality
+from lensshift.evaluation.inputs import check_finite, real_array
 
 Limits = Literal["range", "literal"]
 Plateaus = Literal["median", "extremes"]
@@ -335,16 +336,11 @@ def _interval(draws: Floats) -> tuple[float, float]:
 
 
 def _lines(values: ArrayLike) -> Floats:
-    lines = np.asarray(values)
-    if lines.dtype.kind not in "uif":
-        raise ValueError(f"expected real values, got dtype {lines.dtype}")
-    if lines.ndim not in (1, 2) or lines.shape[-1] < _MIN_SAMPLES or lines.size == 0:
-        raise ValueError(
-            f"expected [n] or [line n] with at least {_MIN_SAMPLES} samples, got {lines.shape}"
-        )
-    if bad := int(np.count_nonzero(~np.isfinite(lines))):
-        raise ValueError(f"expected finite values, got {bad} NaN or infinite")
-    return np.atleast_2d(lines.astype(np.float64))
+    lines = real_array(np.atleast_2d(np.asarray(values)), "profile", "[line n]")
+    if lines.shape[1] < _MIN_SAMPLES:
+        raise ValueError(f"expected lines of at least {_MIN_SAMPLES} samples, got {lines.shape}")
+    check_finite(lines)
+    return lines
 
 
 def _check(step_mm: float, limits: str, share: float, plateaus: str) -> None:

@@ -21,14 +21,9 @@ _MOST_PIXELS = 4_000
 
 
 def bend_edge(
-    across_px: Vector,
-    along_px: Vector,
-    values: Vector,
-    line: Vector,
-    basis: SplineBasis,
-    half_length_px: float,
-    most: int,
-) -> Vector:
+    across_px: Vector, along_px: Vector, values: Vector, line: Vector, basis: SplineBasis,
+    half_length_px: float, most: int,
+) -> Vector:  # fmt: skip
     """Return the geometry of the edge with as many bending terms as the pixels ask for.
 
     The ESF is free (a spline), so that its shape is not mistaken for a bend. Terms are added, two

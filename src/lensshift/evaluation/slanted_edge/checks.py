@@ -32,13 +32,9 @@ _NO_NOISE = 1e-6  # of the contrast: rounding to 16 bits alone is 4e-6
 
 
 def doubted(
-    result: EdgeResult,
-    lines: int,
-    gap_px: float,
-    values: Vector,
-    out: int = 0,
+    result: EdgeResult, lines: int, gap_px: float, values: Vector, out: int = 0,
     apart_px: float = 0.0,
-) -> EdgeResult:
+) -> EdgeResult:  # fmt: skip
     """Return the result with what speaks against it.
 
     Levels, clipping, how the lines cross the pixels and frames that do not lie on one another

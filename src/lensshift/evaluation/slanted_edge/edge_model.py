@@ -48,12 +48,9 @@ class Tail(NamedTuple):
 
 
 def core_slopes(
-    normal_px: Vector,
-    angle_rad: float,
-    sigma_px: float,
-    aperture_px: float,
+    normal_px: Vector, angle_rad: float, sigma_px: float, aperture_px: float,
     out: Matrix | None = None,
-) -> Matrix:
+) -> Matrix:  # fmt: skip
     """Return [4 n]: a straight edge blurred by a Gaussian, as a square pixel sees it; its slopes.
 
     The pixel's axes are turned by `angle_rad` against the edge. The second antiderivative G of the
@@ -95,12 +92,9 @@ def _half_sides(angle_rad: float, aperture_px: float) -> tuple[float, float]:
 
 
 def edge_response_transform(
-    frequency_cpp: Vector,
-    angle_rad: float,
-    sigma_px: float | Vector,
-    aperture_px: float | Vector,
+    frequency_cpp: Vector, angle_rad: float, sigma_px: float | Vector, aperture_px: float | Vector,
     tail: Tail,
-) -> Vector:
+) -> Vector:  # fmt: skip
     """Return the Fourier transform of the line spread function of an edge, 1 at frequency 0.
 
     T(f) = [(1 - v) exp(-2 pi^2 s^2 f^2) + v R(f)] sinc(a f cos t) sinc(a f sin t)

@@ -210,12 +210,9 @@ def _beyond(frequency_cpp: Vector, end_px: float) -> Vector:
 
 
 def _curves(
-    likelihood: EdgeLikelihood,
-    frequency_cpp: Vector,
-    ends_px: Vector,
-    draws: _Draws,
+    likelihood: EdgeLikelihood, frequency_cpp: Vector, ends_px: Vector, draws: _Draws,
     missing: Vector,
-) -> tuple[Vector, NDArray[np.complex128], Matrix, Matrix]:
+) -> tuple[Vector, NDArray[np.complex128], Matrix, Matrix]:  # fmt: skip
     """Return places [d], OTF [f k], ESF and LSF [d k]; `missing` [k] of far light is none."""
     parameters, levels, coefficients = draws
     base, basis, factor = likelihood.base, likelihood.basis, levels[likelihood.gathered.response]

@@ -99,13 +99,9 @@ def _steps(
 
 
 def _refined(
-    x_px: Vector,
-    y_px: Vector,
-    values: Vector,
-    angle_rad: float,
-    position_px: float,
+    x_px: Vector, y_px: Vector, values: Vector, angle_rad: float, position_px: float,
     aperture_px: float,
-) -> EdgeLine:
+) -> EdgeLine:  # fmt: skip
     """Fit angle, position and log width, the levels eliminated."""
     ones = np.ones_like(values)
 

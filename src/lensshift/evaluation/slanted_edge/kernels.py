@@ -136,16 +136,9 @@ def between_nodes(place: Array, nodes: Array, first: Array, shares: Array) -> No
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def node_products(
-    pointers: Array,
-    taps: Array,
-    weights: Array,
-    first: Array,
-    shares: Array,
-    powers: Array,
-    right: Array,
-    products: Array,
-    with_right: Array,
-) -> None:
+    pointers: Array, taps: Array, weights: Array, first: Array, shares: Array, powers: Array,
+    right: Array, products: Array, with_right: Array,
+) -> None:  # fmt: skip
     """Add up, over whitened pixels, products of what the nodes are to each of them.
 
         products[k, l] = sum W_k^T A^T A W_l,   with_right[k] = sum W_k^T A^T R
@@ -277,14 +270,9 @@ def heights_covariance(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def heights_slopes(
-    sensitivity: Array,
-    number: Array,
-    weight: Array,
-    near: Array,
-    longer: Array,
-    wider: Array,
+    sensitivity: Array, number: Array, weight: Array, near: Array, longer: Array, wider: Array,
     symmetry: float,
-) -> tuple[float, float, float, float]:
+) -> tuple[float, float, float, float]:  # fmt: skip
     """Return how a value changes with the logs of amplitude, length and tail, and with m.
 
     `sensitivity` [j j], its derivative by the covariance of the heights, is destroyed; `longer` [l]

@@ -63,13 +63,9 @@ def _with_losses(fit: EdgeFit, frequency_cpp: Vector, settings: LikelySettings) 
 
 
 def _result(
-    fit: EdgeFit,
-    region: Region,
-    frames: EdgeFrames,
-    blocks: tuple[Vector, ...],
-    frequency_lpmm: Vector,
-    pitch_mm: float,
-) -> EdgeResult:
+    fit: EdgeFit, region: Region, frames: EdgeFrames, blocks: tuple[Vector, ...],
+    frequency_lpmm: Vector, pitch_mm: float,
+) -> EdgeResult:  # fmt: skip
     edge, ends = fit.edge, np.cumsum([block.size for block in blocks])
     _, to_nyquist, wanted = np.split(np.abs(fit.transform), ends[:-1])
     grid_cpp = np.linspace(0.0, blocks[0][-1], _FINER * (ends[0] - 1) + 1)

@@ -309,12 +309,8 @@ def _look_up(index: Places, places: Places, steps: Places) -> Places:
 
 
 def with_edge(
-    noise: NoiseModel,
-    residual: Vector,
-    response: Vector,
-    normal_px: Vector,
-    places: Places,
-) -> NoiseModel:
+    noise: NoiseModel, residual: Vector, response: Vector, normal_px: Vector, places: Places,
+) -> NoiseModel:  # fmt: skip
     """Return the noise with that near the edge, if there is more of it than on plateaus (F test).
 
     Compression keeps more of the noise in blocks with an edge, and adds what its steps cut off;

@@ -259,8 +259,7 @@ def _as_edge(
     curves = (found.frequency_cpp, found.modulation[:, None], to_nyquist[:, None])
     return EdgeResult(
         **numbers.numbers_of(*curves, normal_px, esf[:, None], pitch_mm),
-        method=curve.label,
-        region=region,
+        method=curve.label, region=region,
         orientation="horizontal" if found.rotated else "vertical",
         # The original's slope is that of the columns the edge passes, line by line: for an upright
         # edge the turn of the normal has the other sign.
