@@ -367,10 +367,16 @@ def test_an_edge_beyond_the_prior_is_measured(angle_deg: float, steeper: float) 
 
 def test_aliasing_that_is_left_shows() -> None:
     upright = box_edge((32, 64), sigma_px=0.8)
-    assert measure_edge(noisy(upright, 0.01), scale=2).aliasing_px < 0.03
+    for scale in (1, 2):
+        assert measure_edge(noisy(upright, 0.01), scale=scale).aliasing_px < 0.03
     repeated = np.repeat(np.repeat(box_edge((16, 32), sigma_px=0.3), 2, axis=0), 2, axis=1)
     with pytest.warns(QualityWarning, match="aliasing is left"):
         assert measure_edge(noisy(repeated, 0.01), scale=2).aliasing_px > 0.1
+    with pytest.warns(QualityWarning, match="pixels repeated"):  # enlarged, and nobody says so
+        assert measure_edge(noisy(repeated, 0.01)).aliasing_px > 0.1
+    upright[::2] = box_edge((32, 64), offset_px=(0.0, 0.5), sigma_px=0.8)[::2]
+    with pytest.warns(QualityWarning, match="rows are interlaced"):
+        assert measure_edge(noisy(upright, 0.01)).aliasing_px == pytest.approx(0.25, abs=0.05)
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ def doubted(
     if result.aliasing_px > _LARGEST_ALIASING_PX:
         found.append(
             f"the edge moves by {result.aliasing_px:.2f} px rms with the phase of the pixels: "
-            "aliasing is left, the MTF depends on where the edge lies"
+            "aliasing is left, rows are interlaced or pixels repeated; the MTF is not the lens's"
         )
     return replace(result, notes=tuple(found), usable=usable)
 

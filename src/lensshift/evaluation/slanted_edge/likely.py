@@ -81,9 +81,8 @@ def _result(
     residual = np.full(region.shape, np.nan)  # of the first frame
     frame, row, col = edge.pixels.places.T
     residual[row[frame == 0], col[frame == 0]] = fit.residual[frame == 0]
-    scale, aliasing_px = frames.scale, float("nan")
-    if scale > 1:  # by how much the edge moves between pixels of different phase
-        aliasing_px = _moves_px(fit, (row % scale) * scale + col % scale)
+    phases = max(frames.scale, 2)  # rows may be interlaced, and pixels repeated
+    aliasing_px = _moves_px(fit, (row % phases) * phases + col % phases)
     return EdgeResult(
         **numbers.numbers_of(grid_cpp, grid, to_nyquist, fit.normal_px, fit.esf, pitch_mm),
         method="ml", region=region, orientation="vertical" if edge.vertical else "horizontal",

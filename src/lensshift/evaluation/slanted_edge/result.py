@@ -137,7 +137,8 @@ class EdgeResult(Shown, AsTable):
     rise_mm : 10-90 width of the ESF
     esf, lsf : edge and line spread function
     residual : [row col] pixels minus model over the contrast, NaN where unused; None without model
-    aliasing_px : rms displacement of the edge between pixel phases; NaN where not asked
+    aliasing_px : rms displacement of the edge between pixels of different phase, of even and odd
+        ones at a scale of 1; NaN without a model
     asymmetry : largest departure of the ESF from point symmetry
     pitch_mm : along the edge normal
     notes : what speaks against the result
