@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -179,3 +181,56 @@ def test_something_that_moved_is_not_taken_for_light() -> None:
     _, said = _said(y)
     assert said
     assert not any("allows for it" in one for one in said)
+
+
+def _cells(seed: int) -> Callable[[Array, Array], Array]:
+    rng = np.random.default_rng(seed)
+    middle, radius = rng.uniform(0.0, 36.0, (40, 2)), np.exp(rng.uniform(-0.5, 1.5, 40))
+    light = rng.uniform(0.1, 1.0, 40)
+
+    def scene(row: Array, col: Array) -> Array:
+        seen = np.zeros(np.broadcast(row, col).shape)
+        for (down, right), r, bright in zip(middle, radius, light, strict=True):
+            seen += bright * np.exp(-((((row - down) ** 2 + (col - right) ** 2) / r**2) ** 3))
+        return seen
+
+    return scene
+
+
+def test_light_that_fades_does_not_pass_for_bright_parts_that_moved() -> None:
+    """Fluorescence fades by 2 % from frame to frame; the noise of few photons is as large."""
+    fading = 1.0 - 0.02 * np.arange(8)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        offset_px = rng.uniform(-0.8, 0.8, (8, 2)).round(1)
+        clean = photograph(_cells(seed), (34, 35), offset_px, fine=10)
+        y = rng.poisson(600.0 * fading[:, None, None] * clean) + rng.normal(100.0, 2.0, clean.shape)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", QualityWarning)
+            reconstruct(make_burst(y, offset_px), std=False)
+        said = [str(one.message) for one in caught]
+        assert not any("moved" in one for one in said), seed
+        assert all("brightness" in one or "light of the frames" in one for one in said)
+
+
+def test_what_moves_while_the_light_fades_is_told_where_it_is() -> None:
+    def moving(k: int) -> Callable[[Array, Array], Array]:
+        def scene(row: Array, col: Array) -> Array:
+            inside = (np.abs(row - 8.0 - k) < 2.5) & (np.abs(col - 7.0 - 1.5 * k) < 2.5)
+            return np.where(inside, 1.2, _cells(12)(row, col))
+
+        return scene
+
+    offset_px = np.random.default_rng(4).uniform(-0.8, 0.8, (6, 2)).round(1)
+    y = np.concatenate([
+        (1.0 - 0.03 * k) * photograph(moving(k), (34, 35), offset_px[k], fine=10) for k in range(6)
+    ])  # fmt: skip
+    y += 0.01 * np.random.default_rng(5).standard_normal(y.shape)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", QualityWarning)
+        reconstruct(make_burst(y, offset_px), std=False)
+    light, moved = (str(one.message) for one in caught)
+    assert "the picture allows for it" in light
+    rows, columns = re.search(r"moved at rows (\d+) .. \d+, columns \d+ .. (\d+)", moved).groups()
+    assert int(rows) > 2
+    assert int(columns) < 24

@@ -22,6 +22,8 @@ from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import ESTIMATED, LIMIT
 from lensshift.reconstruction.noise import robust_scale
 from lensshift.reconstruction.quantiles import ENOUGH, weighted_mad, weighted_median
+from lensshift.registration.blocks import filled
+from lensshift.registration.light import gains_of_light, light_said
 
 HUBER_SIGMAS = 1.345
 # Rounds end when no gain changes by more than this share, far below what it is off by in the end:
@@ -245,7 +247,7 @@ def _on_latest(burst: Burst, latest: int) -> Iterator[tuple[int, Array, Array, M
 def in_one_light(
     found: Estimate,
     frames: Array,
-    valid: Mask,
+    burst: Burst,
     request: Request,
     allowing: Callable[[], Estimate],
     *,
@@ -253,12 +255,13 @@ def in_one_light(
 ) -> Estimate:
     """Return the estimate that allows for other brightness of frames, if that was all there was.
 
-    Frames that show less of a scene, as of one that turned, look darker as well. Nothing is asked
-    of a stream, whose pictures follow its light, nor where it was allowed for.
+    Frames that show less of a scene, as of one that turned, look darker as well; and light that
+    drifts by little looks as if bright parts had moved. Nothing is asked of a stream, whose
+    pictures follow its light, nor where it was allowed for.
 
     Parameters
     ----------
-    found : of the frames [frame row col], which `valid` belong to
+    found : of the frames [frame row col] of the burst
     allowing : finds the estimate that allows for it
 
     Warns
@@ -268,11 +271,14 @@ def in_one_light(
     """
     if request.streamed or request.photometric:
         return found
-    differ, said = unequal_brightness(frames, valid), found.notes.get("contradiction", "")
-    if frames.dtype.kind != "c" and (ESTIMATED in said or (said and differ)):
+    differ, said = unequal_brightness(frames, burst.valid), found.notes.get("contradiction", "")
+    if said and frames.dtype.kind != "c":
+        drift = light_said(gains_of_light(filled(frames, burst.valid), burst.offset_px))
+        if not (drift or differ or ESTIMATED in said):
+            return found
         again = allowing()
-        if not again.notes.get("contradiction"):
-            how = "the frames differ in brightness"
+        if drift or not again.notes.get("contradiction"):
+            how = drift or "the frames differ in brightness"
             how = said.partition(":")[0] if ESTIMATED in said else how
             done = "the picture allows for it, by a gain and a bias of each frame (in its notes)"
             differ, found = f"{how}: {done}", again

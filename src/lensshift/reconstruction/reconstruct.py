@@ -219,7 +219,7 @@ def _estimates(
         if key == "amplitude":
             bright = replace(own, photometric=True, law=None)
             again = partial(_solve, burst, problem, chosen, bright, seen["shift_field"])
-            found[key] = in_one_light(found[key], values, part.valid, request, again, stacklevel=3)
+            found[key] = in_one_light(found[key], values, part, request, again, stacklevel=3)
     return found, None
 
 

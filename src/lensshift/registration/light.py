@@ -28,15 +28,24 @@ def light_allowed_for(
     if gain is None:
         return np.ones((len(frames), 1, 1)), bool(asked)
     if asked is None:
-        dark, bright = (int(pick(gain)) for pick in (np.argmin, np.argmax))
         warn_quality(
-            f"the light of the frames differs: that of frame {names[bright]} is "
-            f"{100 * (gain[bright] / gain[dark] - 1):.1f} % more than that of frame {names[dark]}. "
-            "Allowed for by a factor and a constant of each frame; photometric=False "
-            "(--no-photometric) would not",
+            f"{light_said(gain, names)}. Allowed for by a factor and a constant of each frame; "
+            "photometric=False (--no-photometric) would not",
             4,
         )
     return gain[:, None, None], True
+
+
+def light_said(gain: Floats | None, names: Sequence[int] | Array | None = None) -> str:
+    """Say which frames differ most in light, "" if none does (None)."""
+    if gain is None:
+        return ""
+    names = range(len(gain)) if names is None else names
+    dark, bright = (int(pick(gain)) for pick in (np.argmin, np.argmax))
+    return (
+        f"the light of the frames differs: that of frame {names[bright]} is "
+        f"{100 * (gain[bright] / gain[dark] - 1):.1f} % more than that of frame {names[dark]}"
+    )
 
 
 def gains_of_light(frames: Array, offset_px: Shifts) -> Floats | None:
