@@ -425,6 +425,7 @@ def test_many_places_are_visited_once_and_not_in_the_given_order() -> None:
         ({"frames": 0}, "at least one frame"),
         ({"discard": -1}, "discard of at least 0"),
         ({"hold_mm": 0.0}, "positive hold_mm"),
+        ({"frame_timeout_s": 1e18}, "positive frame_timeout_s up to 1e"),
     ],
 )
 def test_bad_settings(wrong: dict[str, Any], message: str) -> None:

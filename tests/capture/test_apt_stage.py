@@ -534,6 +534,11 @@ def test_bad_settings(field: str, value: object) -> None:
         AptSettings(**{field: value})
 
 
+def test_a_speed_beyond_what_a_controller_can_be_told_is_refused() -> None:
+    with EmulatedStagePair() as pair, pytest.raises(ValueError, match="look at speeds and scale"):
+        open_apt_stage(*pair.urls, AptSettings(velocity_mmps=1e9, home="never"))
+
+
 def test_scale_of_each_axis() -> None:
     settings = AptSettings(counts_per_mm=(34304.0, 34555.0))
     assert [settings.scale(axis) for axis in (0, 1)] == [34304.0, 34555.0]

@@ -80,7 +80,14 @@ def test_a_wrong_rig_file_is_refused_in_a_line(rig: Path, old: str, new: str, sa
     ("old", "new", "said"),
     [
         ("return self._place_mm  #", "return [0.15, float('nan')]  #", "position_mm: expected"),
-        ("return self._place_mm  #", "return 'there'  #", "ValueError: could not convert"),
+        ("return self._place_mm  #", "return 'there'  #", "position_mm: ValueError: could not"),
+        ('return {"model": "piezo", ', "return 7, {", "piezo.*: describe: TypeError"),
+        ("self._place_mm = position_mm", "np.load('/none')", "piezo.*: move_to: FileNotFoundError"),
+        (
+            "self._place_mm = position_mm",
+            "from lensshift import Burst; Burst.from_arrays([[1.0]])",
+            "piezo.*: move_to: DataError: ",
+        ),
         ("self._place_mm = position_mm", "raise OSError('USB gone')", "piezo.*OSError: USB gone"),
         ("self._place_mm = position_mm", "raise SystemExit(3)", "piezo.*SystemExit: 3"),
         ("return self.position_mm()", "return None", "move_to: expected"),
@@ -258,7 +265,7 @@ def test_a_name_that_cannot_be_had_is_told_by_the_rig_file(rig: Path) -> None:
     name = "@property\n    def name(self):\n        raise OSError('USB gone')\n\n    def stop"
     change(module(rig), "def stop", name)
     change(module(rig), "self.name = f", "self._named = f")
-    with pytest.raises(DeviceError, match="my_devices:Piezo: OSError: USB gone"):
+    with pytest.raises(DeviceError, match="my_devices:Piezo: name: OSError: USB gone"):
         open_rig(rig)
 
 

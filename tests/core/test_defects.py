@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
 from lensshift import Burst, QualityWarning, reconstruct, register
-from lensshift.core.defects import not_measured, stuck_pixels
+from lensshift.core.defects import not_measured, still_pixels, stuck_pixels
 
 SHAPE = (23, 34)
 FOUR_PX = np.array([(a, b) for a in (-0.25, 0.25) for b in (-0.25, 0.25)])
@@ -46,6 +46,22 @@ def test_hot_and_dead_pixels_are_found_and_no_others(seed: int, unit: float) -> 
     found = stuck_pixels(np.where(valid, unit * y, np.nan), valid)
     assert found is not None
     assert np.argwhere(found).tolist() == [[15, 30], [22, 0]]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_pixel_that_noise_does_not_change_is_dead_though_it_does_not_stand_out(seed: int) -> None:
+    moves_px = np.random.default_rng(seed).uniform(-0.9, 0.9, (20, 2))
+    y = soft_scene(seed, moves_px)
+    valid = np.ones(y.shape, bool)
+    assert not still_pixels(y, valid).any()
+    y[:, 4, 7], y[:, 15, 30] = np.median(y), y[0, 15, 30]
+    assert stuck_pixels(y) is None
+    assert np.argwhere(still_pixels(y, valid)).tolist() == [[4, 7], [15, 30]]
+    valid[3, 4, 7] = False
+    assert np.argwhere(still_pixels(y, valid)).tolist() == [[15, 30]]
+    assert not still_pixels(y[:8], valid[:8]).any()  # too few frames to be sure
+    flat = np.rint(2.0 * soft_scene(seed, moves_px, sigma=1e-3))  # noise below a converter's level
+    assert not still_pixels(flat, np.ones(flat.shape, bool)).any()
 
 
 @pytest.mark.parametrize("unit", [1.0, -250.0])

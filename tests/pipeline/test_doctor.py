@@ -328,6 +328,68 @@ def test_pictures_that_are_handed_out_again(every: int, level: str) -> None:
     assert [one.level.name for one in found] == ([level] if level else [])
 
 
+def looked_at(amplitude: np.ndarray, valid: np.ndarray | None = None) -> list[tuple[str, str]]:
+    """Return level and name of what the doctor finds in frames [frame row col] of a still lens."""
+    seen = np.ones(amplitude.shape, bool) if valid is None else valid
+    both = zip(amplitude, seen, strict=True)
+    frames = [CameraFrame(Frame(y, None, v, 0.0), k, k) for k, (y, v) in enumerate(both)]
+    left = iter(frames)
+    view = look(SimpleNamespace(next_frame=lambda timeout_s: next(left)), 1.0)
+    return [(one.level.name, one.name) for one in view_findings(view, {}, {})]
+
+
+def still_frames(seed: int = 3) -> np.ndarray:
+    """Return 16 frames [frame row col] of bright cards, with noise at an SNR of some 50."""
+    rng = np.random.default_rng(seed)
+    cards = np.kron(rng.uniform(0.3, 1.0, (4, 8)), np.ones((4, 8)))
+    return np.asarray(cards + 0.01 * rng.standard_normal((16, 16, 64)))
+
+
+@pytest.mark.usefixtures("glance")
+def test_what_single_pixels_and_frames_do_does_not_hide_the_others() -> None:
+    """A pixel that reads nothing has no gain, a frame without pixels no shift."""
+    y = still_frames()
+    assert looked_at(y) == []
+    y[:, 3, 20], y[:, 9, 40] = 0.0, np.nan
+    assert looked_at(y) == []
+    valid = np.ones(y.shape, bool)
+    y[2], valid[7] = np.nan, False
+    assert looked_at(y, valid) == [("DOUBT", "empty frames")]
+    y[11], y[13, :, :40] = 0.0, 0.0  # a shutter, and one on its way
+    told = looked_at(y, valid)
+    assert told[0] == ("DOUBT", "empty frames")
+    assert ("FAULT", "too dark") in looked_at(0.01 * still_frames() - 0.5)
+    assert looked_at(still_frames(), 0 * valid > 0) == [("FAULT", "too dark")]
+
+
+@pytest.mark.usefixtures("glance")
+def test_invalid_pixels_beside_bright_ones_are_not_dark() -> None:
+    y = still_frames()
+    valid = np.broadcast_to(np.arange(64) < 30, y.shape)
+    assert looked_at(y, valid) == [("FAULT", "invalid pixels")]
+
+
+@pytest.mark.usefixtures("glance")
+def test_areas_that_are_saturated() -> None:
+    assert looked_at(np.minimum(still_frames(), 0.8)) == [("DOUBT", "saturated")]
+    assert looked_at(np.rint(100.0 * still_frames())) == []  # levels of a converter
+
+
+@pytest.mark.usefixtures("glance")
+def test_who_walks_by_is_no_drift_and_no_axis() -> None:
+    """He covers other pixels in each frame; a drift changes all in proportion to time."""
+    y, col = still_frames(), np.arange(64)
+    for rows, name in ((3, ("DOUBT", "moving scene")), (16, ("FAULT", "moving scene"))):
+        by = np.abs(col - 10.0 - np.arange(16)[:, None, None]) < 4.0
+        part = by & (np.arange(16) < rows)[:, None]
+        assert looked_at(np.where(part, 0.1, y))[0] == name
+    ramp = np.linspace(0.0, 0.1, 16)[:, None, None]
+    drifted = y + ramp * np.gradient(y.mean(axis=0), axis=1)
+    assert looked_at(drifted) == []
+    for seed in range(8):
+        assert looked_at(still_frames(seed)) == []
+
+
 def test_an_image_that_does_not_move_at_all_has_numbers() -> None:
     assert Axes(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)).numbers["turn_deg"] == 0.0
 

@@ -139,6 +139,44 @@ def test_a_first_frame_of_another_scene_does_not_spoil_the_scan() -> None:
     np.testing.assert_allclose(found.play_mm, rig.play_mm, atol=0.001)
 
 
+@pytest.mark.parametrize("defect", ["hot", "dead"])
+def test_pixels_that_do_not_follow_the_scene_do_not_hold_the_map(defect: str) -> None:
+    rig = Rig()
+    scan = rig.scan(seed=4)
+    frames = np.array(scan.amplitude)
+    frames[:, 6, 20] = frames[:, 10, 45] = 0.0 if defect == "dead" else 3.0 * frames.max()
+    found = fit_scan(replace(scan, amplitude=frames), rest_mm=(3.0, 5.0)).calibration
+    np.testing.assert_allclose(found.stage_map.px_per_mm, rig.px_per_mm, atol=0.06)
+    np.testing.assert_allclose(found.play_mm, rig.play_mm, atol=0.0015)
+
+
+@pytest.mark.parametrize("drift", [0.0, 1.0])
+def test_a_jump_is_told_from_a_drift(drift: float) -> None:
+    """A stage that loses steps once, at whatever frame; a drift of the same size is none."""
+    rig = replace(Rig(), drift_px_per_s=drift * np.array([2e-3, -1e-3]))
+    for seed in range(12):
+        burst = by_hand(rig, seed)
+        moved = np.array(burst.offset_px)
+        at = 7 + seed % 7
+        moved[at:] += (0.05, -0.05)
+        for offset, jumped in ((burst.offset_px, False), (moved, True)):
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("always")
+                fit_scan(replace(burst, offset_px=offset), registered=True, over_sensor=False)
+            told = [str(one.message) for one in said if "the image jumped" in str(one.message)]
+            assert bool(told) == jumped, (seed, told)
+
+
+def test_noise_is_not_taken_for_a_stage_that_does_not_repeat() -> None:
+    """Of a scan whose frames tell little: what is left is what they do not tell."""
+    rig = replace(Rig(), noise=0.25)
+    with pytest.warns(QualityWarning) as said:
+        fit_scan(rig.scan(seed=2), over_sensor=False)
+    words = [str(one.message) for one in said]
+    assert any("texture" in one for one in words), words
+    assert not any("does the stage repeat" in one for one in words), words
+
+
 @given(st.integers(3, 8), st.floats(0.01, 2.0), st.floats(0.01, 2.0))
 def test_a_scan_comes_from_both_sides_and_to_no_row_or_column_twice(
     steps: int, row: float, col: float

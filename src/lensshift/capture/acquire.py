@@ -26,6 +26,7 @@ from lensshift.io import save_burst
 from lensshift.io.capture_file import FrameRecord, burst_of_capture
 
 MOST_FRAMES = 100_000  # an hour at 30 Hz, at each position
+_MOST_PATIENCE = 1e6  # seconds, or mm: beyond any rig; a system waits for 1e9 s at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +62,9 @@ class Acquisition:
             each = f"frames {self.frames} and discard {self.discard}"
             raise ValueError(f"expected up to {MOST_FRAMES} frames a position, got {each}")
         for name in ("frame_timeout_s", "hold_mm"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"expected a positive {name}, got {getattr(self, name)}")
+            if not 0 < getattr(self, name) <= _MOST_PATIENCE:
+                told = f"up to {_MOST_PATIENCE:g}, got {getattr(self, name)}"
+                raise ValueError(f"expected a positive {name} {told}")
         if not abs(self.approach_mm) < math.inf:
             raise ValueError(f"expected a finite approach_mm, got {self.approach_mm}")
 

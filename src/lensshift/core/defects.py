@@ -19,6 +19,9 @@ STANDS_OUT = 10.0
 LEAST_CONTRAST = 0.5
 # Of the pixels of a row that lives, so many at most are the same in all frames: noise changes all.
 MOST_STILL = 0.5
+# And of all pixels where noise shows: if more are still, it is below the levels of a converter. Of
+# so many frames, as of noise of one level half of the frames read alike.
+FEW_STILL, LEAST_STILL = 0.1, 16
 # What enters and leaves a picture at its borders changes its mean by a few hundredths of the
 # standard deviation of its pixels; half of that is another exposure or another light.
 OTHER_LIGHT = 0.5
@@ -63,6 +66,18 @@ def stuck_pixels(frames: Array, valid: Mask | None = None, *, phasors: bool = Fa
     stuck |= _still_rows(still)[:, None] | _still_rows(still.T)
     stuck &= used.all(axis=0)
     return stuck if stuck.any() else None
+
+
+def still_pixels(frames: Array, valid: Mask) -> Mask:
+    """Return the pixels [row col] that are the same bit by bit in 16 frames or more.
+
+    Where noise changes nearly all pixels, what it does not change is no measurement: a dead pixel
+    in the dark, too, which does not stand out.
+    """
+    known = np.asarray(valid.all(axis=0))
+    still = known & (frames == frames[0]).all(axis=0)
+    few = np.count_nonzero(still) <= FEW_STILL * np.count_nonzero(known)
+    return np.asarray(still & (few and len(frames) >= LEAST_STILL))
 
 
 def offset_columns(frames: Array, valid: Mask) -> Mask:

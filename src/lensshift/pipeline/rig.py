@@ -103,15 +103,11 @@ def run_emulated(
     files = _write(folder, taken, results, truth)
     perfect_db = fidelities[f"{method}, perfect shifts"]["psnr_db"]
     return RigSummary(
-        files=files,
-        calibration=taken.calibration,
-        reconstruction=calibrated,
-        shift_rms_px=_shift_errors(taken, assumed_px),
-        fidelity=fidelities,
+        files=files, calibration=taken.calibration, reconstruction=calibrated,
+        shift_rms_px=_shift_errors(taken, assumed_px), fidelity=fidelities,
         loss_db=perfect_db - fidelities[f"{method}, calibrated shifts"]["psnr_db"],
-        counts=taken.counts,
-        seconds=time.perf_counter() - start_s,
-    )
+        counts=taken.counts, seconds=time.perf_counter() - start_s,
+    )  # fmt: skip
 
 
 def run_bench(

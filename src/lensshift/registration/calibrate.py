@@ -9,6 +9,7 @@ import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.calibration import Calibration
+from lensshift.core.defects import still_pixels, stuck_pixels
 from lensshift.core.errors import warn_quality
 from lensshift.core.lens_field import LensField
 from lensshift.core.motion import StageMap
@@ -16,17 +17,17 @@ from lensshift.core.types import Burst
 from lensshift.registration.blocks import filled
 from lensshift.registration.field import fit_field
 from lensshift.registration.light import light_allowed_for
-from lensshift.registration.likelihood import likely_shifts, with_given
+from lensshift.registration.likelihood import ShiftFit, likely_shifts, with_given
 from lensshift.registration.phase import phase_shifts, unlike_frames
 from lensshift.registration.picture import alternate, prediction_error
+from lensshift.registration.reference_image import reference_image
 from lensshift.registration.register import UNLIKE, frames_of, say_left_out
+from lensshift.registration.robust_fit import BUDGET_PX, jump_in, robust_fit
 
-HUBER_SIGMAS = 1.345  # keeps 95 % of the efficiency where errors are normal
-_PASSES = 20  # of reweighting, at most
 _PLAY_PASSES = 4  # of play, and where in it the axes stand
 _LEAST_MOTION = 1e-3  # of the scan: less is none
+_FILLINGS = 2  # of pixels that see nothing: by the shifts found first, and by better ones
 _LEAST_FRAMES = 9  # map, play, drift and constant, and some over
-BUDGET_PX = 0.02  # what reconstruction allows for in any case (benchmarks/shift_budget.py)
 _BLIND_SHARE = 0.05  # of the map: 0.02 px of a move by half a pixel, with two standard errors
 
 
@@ -118,7 +119,7 @@ def fit_scan(
     turns = _turns(direction)
     held = _held(commanded_mm, direction, away_mm, time_s, burst.offset_px, known_px2)
     design = _design(away_mm, held, time_s)
-    found, covariance, residual = _robust(design, burst.offset_px, known_px2)
+    found, covariance, residual = robust_fit(design, burst.offset_px, known_px2)
     bent, order = None, 0
     if over_sensor:
         effective_mm = away_mm - 0.5 * _play(found, covariance, turns)[0] * held
@@ -128,28 +129,26 @@ def fit_scan(
         )
         burst = replace(burst, offset_px=burst.offset_px - texture_px)
         known_px2 = known_px2 + (doubt_px2 if lens_field is None else 0.0)
-        found, covariance, residual = _robust(design, burst.offset_px, known_px2)
+        found, covariance, residual = robust_fit(design, burst.offset_px, known_px2)
     matrix, sigma = found[:2].T, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).T
     play, play_sigma = _play(found, covariance, turns)
     drift, drift_sigma = 2 * [np.zeros(2)] if time_s is None else (found[-2], sigma[-2])
     scale = len(residual) / max(len(residual) - design.shape[1], 1)
     sigma_px = float(np.sqrt(np.mean(residual**2) * scale))
     told_px2 = np.diagonal(known_px2).reshape(-1, 2).mean(axis=0)
-    _warn(sigma_px, matrix, sigma[:2].T, blind=told_px2 > 0.5 * np.mean(residual**2, axis=0))
+    blind = told_px2 > 0.5 * np.mean(residual**2, axis=0)
+    if not blind.any() and (said := jump_in(design, burst.offset_px)):
+        warn_quality(said, 2)
+    _warn(sigma_px, matrix, sigma[:2].T, blind=blind)
     if lens_field is not None and bent is not None:
         lens_field, matrix = _refined(lens_field, bent, matrix)
         bent = None
     calibration = Calibration(
-        stage_map=StageMap(matrix, None if bent is None else matrix + bent, sigma_px),
-        rest_mm=rest,
-        source="measured",
-        px_per_mm_sigma=sigma[:2].T,
-        play_mm=play,
-        play_sigma_mm=play_sigma,
-        drift_px_per_s=drift,
-        drift_sigma_px_per_s=drift_sigma,
+        stage_map=StageMap(matrix, None if bent is None else matrix + bent, sigma_px), rest_mm=rest,
+        source="measured", px_per_mm_sigma=sigma[:2].T, play_mm=play, play_sigma_mm=play_sigma,
+        drift_px_per_s=drift, drift_sigma_px_per_s=drift_sigma,
         notes=_notes(burst, order, lens_field),
-    )
+    )  # fmt: skip
     return ScanFit(calibration, burst, residual, direction, order, lens_field)
 
 
@@ -184,6 +183,9 @@ def _registered(burst: Burst, *, photometric: bool | None) -> tuple[Burst, Mask,
     Also which frames [frame] are left, and the covariance [2 frame, 2 frame] of their offsets.
     """
     frames = frames_of(burst, "amplitude")
+    stuck = stuck_pixels(frames, burst.valid)
+    dead = still_pixels(frames, burst.valid) | (False if stuck is None else stuck)
+    burst = replace(burst, valid=burst.valid & ~dead)
     valid = burst.valid
     whole = filled(frames, valid)
     phase_px = phase_shifts(whole, 0)
@@ -195,13 +197,30 @@ def _registered(burst: Burst, *, photometric: bool | None) -> tuple[Burst, Mask,
         return burst, kept, covariance_px2
     gain, own = light_allowed_for(whole, phase_px, photometric, range(burst.frame_count))
     start_px = _best_of(_starts(burst, phase_px), whole / gain, valid)
-    found = likely_shifts(frames / gain, valid, start_px, photometric=own)
+    found = _likely(frames / gain, valid, start_px, photometric=own)
     # Where the frames tell nothing, a shift is known to be some pixels at most.
     found = with_given(found, burst.offset_px - burst.offset_px[0], None, said=False)
     burst = replace(
         burst, offset_px=found.offset_px, offset_sigma_px=found.sigma_px, offset_source="registered"
     )
     return burst, kept, found.covariance_px2
+
+
+def _likely(frames: Array, valid: Mask, start_px: Floats, *, photometric: bool) -> ShiftFit:
+    """Return the likeliest shifts; what a pixel does not see is what other frames show there.
+
+    A defect lies at one place in all frames: a likelihood that has to guess what is behind it makes
+    a picture that stands still there, and shifts to go with it.
+    """
+    if valid.all():
+        return likely_shifts(frames, valid, start_px, photometric=photometric)
+    weight, everywhere = valid.astype(np.float64), np.ones_like(valid)
+    for _ in range(_FILLINGS):
+        shown = reference_image(np.where(valid, frames, 0.0), weight, start_px).seen
+        whole = np.where(valid, frames, shown)
+        fit = likely_shifts(whole, everywhere, start_px, photometric=photometric)
+        start_px = fit.offset_px
+    return replace(fit, covariance_px2=fit.covariance_px2 / weight.mean())
 
 
 def _best_of(starts: list[Floats], frames: Array, valid: Mask) -> Floats:
@@ -224,7 +243,7 @@ def _starts(burst: Burst, phase_px: Floats) -> list[Floats]:
     all of them is not. The map that planned the scan may be mirrored, or wrong by a tenth.
     """
     design = _design(_stage(burst), _directions(_commanded(burst)), None)
-    found, _, _ = _robust(design, phase_px, np.zeros((phase_px.size, phase_px.size)))
+    found, _, _ = robust_fit(design, phase_px, np.zeros((phase_px.size, phase_px.size)))
     smooth_px = design @ found
     starts = [smooth_px - smooth_px[0], phase_px]
     if np.any(burst.offset_px):
@@ -280,7 +299,7 @@ def _held(
     moves = steps_mm > _LEAST_MOTION * np.ptp(commanded_mm, axis=0)
     least_mm = np.min(steps_mm, axis=0, where=moves, initial=np.inf)
     for _ in range(_PLAY_PASSES):
-        found, covariance, _ = _robust(_design(away_mm, held, time_s), offset_px, known_px2)
+        found, covariance, _ = robust_fit(_design(away_mm, held, time_s), offset_px, known_px2)
         half_mm = 0.5 * np.maximum(_play(found, covariance, turns)[0], 1e-12)
         lens_mm = commanded_mm - half_mm * direction
         for k in range(1, len(lens_mm)):
@@ -297,39 +316,6 @@ def _design(away_mm: Floats, direction: Floats, time_s: Floats | None) -> Floats
         columns.append(time_s)
     columns.append(np.ones(len(away_mm)))
     return np.stack(columns, axis=-1)
-
-
-def _robust(design: Floats, offset_px: Floats, known_px2: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return parameters [column axis], covariance [axis column column], residual [frame axis].
-
-    What frames share of the errors of registration leaves no residual: it counts by its
-    covariance `known_px2`, and what is left beside it as errors of the stage, one by one.
-    """
-    weight = np.ones(len(design))
-    found: Floats = np.zeros((design.shape[1], 2))
-    residual: Floats = offset_px
-    for _ in range(_PASSES):
-        root = np.sqrt(weight)[:, None]
-        found = np.linalg.pinv(root * design) @ (root * offset_px)
-        residual = offset_px - design @ found
-        size = np.linalg.norm(residual, axis=1)
-        # Median of the length of a normal 2-vector over its standard deviation.
-        scale = max(float(np.median(size)) / 1.1774, 1e-9)
-        changed = np.minimum(1.0, HUBER_SIGMAS * scale / np.maximum(size, 1e-12))
-        if np.allclose(changed, weight, atol=1e-4):
-            break
-        weight = changed
-    inverse = np.linalg.pinv((weight[:, None] * design).T @ design)
-    solved = inverse @ (weight[:, None] * design).T
-    hidden = weight[:, None] * (np.eye(len(design)) - design @ solved)
-    freedom = max(weight.sum() - design.shape[1], 1.0)
-    covariance = np.empty((2, *inverse.shape))
-    for axis in (0, 1):
-        known = known_px2[axis::2, axis::2]
-        seen = float(weight @ residual[:, axis] ** 2) - float(np.sum(hidden * known))
-        rest = max(seen / freedom, 0.0)
-        covariance[axis] = solved @ known @ solved.T + rest * inverse
-    return found, covariance, residual
 
 
 def _play(found: Floats, covariance: Floats, turns: Mask) -> tuple[Floats, Floats]:
@@ -349,17 +335,21 @@ def _play(found: Floats, covariance: Floats, turns: Mask) -> tuple[Floats, Float
 
 def _warn(sigma_px: float, matrix: Floats, matrix_sigma: Floats, *, blind: Mask) -> None:
     """Warn of a poor calibration; `blind` [2]: what frames tell of their shifts explains it."""
-    if sigma_px > BUDGET_PX:
-        warn_quality(
-            f"the calibration leaves {sigma_px:.3f} px rms unexplained (want {BUDGET_PX} px); does "
-            "the stage repeat, did the scene stand still?",
-            3,
-        )
-    for row, name, unseen in zip(matrix_sigma, ("row", "col"), blind, strict=True):
-        share = float(np.linalg.norm(row) / np.linalg.norm(matrix))
-        if unseen and share > _BLIND_SHARE:
+    shares = np.linalg.norm(matrix_sigma, axis=1) / np.linalg.norm(matrix)
+    unseen = blind & (shares > _BLIND_SHARE)
+    for share, name, told in zip(shares, ("row", "col"), unseen, strict=True):
+        if told:
             warn_quality(
                 f"the scan tells shifts along {name} to {100 * share:.0f} % only: the scene has "
                 "too little texture; put a chart with edges in several directions there",
                 3,
             )
+    if sigma_px > BUDGET_PX and not unseen.any():
+        why = "does the stage repeat, did the scene stand still?"
+        if blind.any():
+            why = "the frames tell no better: average more of them, more light, more texture"
+        warn_quality(
+            f"the calibration leaves {sigma_px:.3f} px rms unexplained (want {BUDGET_PX} px); "
+            f"{why}",
+            3,
+        )

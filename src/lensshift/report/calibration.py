@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lensshift.core.arrays import Floats
-from lensshift.registration.calibrate import BUDGET_PX, ScanFit
+from lensshift.registration.calibrate import ScanFit
+from lensshift.registration.robust_fit import BUDGET_PX
 from lensshift.report.curves import legend_above
 from lensshift.report.page import Page
 from lensshift.report.style import BLUE, GREY, INK, RED, SMALL_PT, new_figure, round_number, styled

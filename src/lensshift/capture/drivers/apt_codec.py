@@ -158,7 +158,11 @@ class Record:
 
     def pack(self) -> bytes:
         """Return the data of the message."""
-        return struct.pack(self.FORMAT, CHANNEL, *astuple(self))  # type: ignore[call-overload]
+        try:
+            return struct.pack(self.FORMAT, CHANNEL, *astuple(self))  # type: ignore[call-overload]
+        except struct.error as error:  # a setting beyond all motors
+            problem = f"{self} does not fit the numbers of a controller; look at speeds and scale"
+            raise ValueError(problem) from error
 
     @classmethod
     def unpack(cls, data: bytes) -> Self:

@@ -105,21 +105,27 @@ def _made(
 
 
 class _Named:
-    """Makes one line of whatever foreign code raises; our own errors pass as they are."""
+    """Makes one line of whatever foreign code raises; our own errors pass as they are.
 
-    def __init__(self, name: str, kind: type[DataError] | type[DeviceError]) -> None:
-        self._name, self._kind = name, kind
+    But not a DataError while a device is asked for something (`what`): it is about what that gave.
+    """
+
+    def __init__(
+        self, name: str, kind: type[DataError] | type[DeviceError], what: str = ""
+    ) -> None:
+        self._name, self._kind, self._what = name, kind, what
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        ours = isinstance(error, DataError | DeviceError | Ended)
+        passing = DeviceError | Ended if self._what else DataError | DeviceError | Ended
+        ours = isinstance(error, passing)
         if isinstance(error, Exception | SystemExit) and not ours:  # of `sys.exit` in a library
             problem = f"{type(error).__name__}: {error}"
             if self._kind is DataError:
                 raise DataError(problem, field=self._name) from error
-            raise DeviceError(problem, device=self._name) from error
+            raise DeviceError(problem, device=self._name, command=self._what) from error
 
 
 class _Checked:
@@ -160,7 +166,7 @@ class _Checked:
             thread.start()
             thread.join(most_s)
             if found.done():
-                with _Named(self.name, DeviceError):
+                with _Named(self.name, DeviceError, what):
                     return found.result()
         problem = f"has not returned for {most_s:g} s{cure}"
         raise DeviceTimeout(problem, device=self.name, command=what)

@@ -34,14 +34,12 @@ _BOUGUET = 0  # number of the model of `bouguet_directions` in an O3R's informat
 
 
 class ChunkKind(IntEnum):
-    """What a chunk holds."""
+    """What a chunk holds, of those that are read or sent here."""
 
     DISTANCE = 100
     NORMALISED_AMPLITUDE = 101
     AMPLITUDE = 103
-    GRAYSCALE = 104
     DISTANCE_NOISE = 105
-    REFLECTIVITY = 107
     X = 200
     Y = 201
     Z = 202
@@ -49,12 +47,7 @@ class ChunkKind(IntEnum):
     UNIT_VECTORS = 223
     CONFIDENCE = 300
     DIAGNOSTIC = 302
-    JSON_DIAGNOSTIC = 305
-    EXTRINSIC = 400
-    INTRINSIC = 401
-    INVERSE_INTRINSIC = 402
     TOF_INFO = 420
-    RGB_INFO = 421
 
 
 _IMAGES: Mapping[int, str] = {

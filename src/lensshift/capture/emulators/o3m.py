@@ -185,11 +185,9 @@ class O3MSender(EmulatedCamera):
         while self._wait(begin_s + self._exposure_s):
             end_s = begin_s + self._exposure_s
             pixels = pixel_message(
-                self._look(begin_s, end_s),
-                layout=self._layout,
-                full_scale=self._full_scale,
+                self._look(begin_s, end_s), layout=self._layout, full_scale=self._full_scale,
                 timestamp_us=int(begin_s * 1e6),
-            )
+            )  # fmt: skip
             channels = {8: pixels}
             if end_s - told_s >= 1.0:
                 told_s = end_s

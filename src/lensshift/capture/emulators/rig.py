@@ -93,21 +93,14 @@ class EmulatedRig:
         self.settings = settings or RigSettings()
         one = self.settings
         self.stages = EmulatedStagePair(
-            play_mm=one.play_mm,
-            encoder_noise_mm=one.encoder_noise_mm,
-            loss=one.message_loss,
-            speed=one.speed,
-            seed=one.seed,
-        )
+            play_mm=one.play_mm, encoder_noise_mm=one.encoder_noise_mm, loss=one.message_loss,
+            speed=one.speed, seed=one.seed,
+        )  # fmt: skip
         self.world = EmulatedWorld(one, self.stages.lens_mm)
         self.camera = O3MSender(
-            self.world.look,
-            rate_hz=one.rate_hz,
-            port=camera_port,
-            loss=one.packet_loss,
-            reorder=one.reorder,
-            seed=one.seed,
-        )
+            self.world.look, rate_hz=one.rate_hz, port=camera_port, loss=one.packet_loss,
+            reorder=one.reorder, seed=one.seed,
+        )  # fmt: skip
         self._port = camera_port
         self._open = ExitStack()
 

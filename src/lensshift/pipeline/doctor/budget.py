@@ -8,7 +8,7 @@ import numpy as np
 
 from lensshift.core.arrays import Floats
 from lensshift.pipeline.calibrate import RigCalibration
-from lensshift.registration.calibrate import BUDGET_PX
+from lensshift.registration.robust_fit import BUDGET_PX
 
 _BURST_FRAMES = 4  # of a square plan
 _CURES = {

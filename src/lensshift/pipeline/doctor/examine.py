@@ -45,7 +45,7 @@ from lensshift.pipeline.doctor.view import (
 )
 from lensshift.pipeline.run import made_folder, writable_folder
 from lensshift.registration import calibration_scan_mm
-from lensshift.registration.calibrate import BUDGET_PX
+from lensshift.registration.robust_fit import BUDGET_PX
 from lensshift.registration.scan import USUAL_STEPS
 
 _SCAN_PX = 1.7  # as `pipeline.rig`

@@ -77,7 +77,8 @@ def stage_fault(error: Exception) -> Finding:
             if name == "stage missing" and unbound_cubes():
                 cure = "it is plugged in, without a driver: sudo modprobe ftdi_sio, docs/rig.md"
             return Finding(Level.FAULT, name, said, cure)
-    name = "stage blocked" if isinstance(error, DeviceError) and error.command else "stage"
+    moved = isinstance(error, DeviceError) and error.command and error.__cause__ is None
+    name = "stage blocked" if moved else "stage"  # what its own code raises is another matter
     return Finding(Level.FAULT, name, said, _BLOCKED if name == "stage blocked" else "")
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lensshift.registration.calibrate import BUDGET_PX
+from lensshift.registration.robust_fit import BUDGET_PX
 from lensshift.report.page import Page
 
 if TYPE_CHECKING:

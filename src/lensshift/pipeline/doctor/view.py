@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lensshift.capture.rig import Camera
+from lensshift.capture.rig import Camera, CameraFrame
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.defects import copied_frames
 from lensshift.optics.actuator import PIXEL_NOISE
@@ -27,6 +27,11 @@ _FAIR_SNR = 50.0
 _MOST_LOST = 1 / 3  # then everything takes half as long again
 _CHANCE = 0.01  # that a camera which is well is said to switch
 _MOST_INVALID = 0.5  # half of the pixels see nothing
+# Changes that are slow are beyond noise where they are this many times what differs from frame to
+# frame: of 16 frames of white noise one pixel in 700 seems to.
+_SLOW = 1.5
+_FEW_MOVE, _MANY_MOVE = 0.01, 0.05  # of the pixels: more than chance, and a calibration is spoilt
+_OFTEN, _FEW_CLIPPED = 0.5, 0.01  # of the frames that show a pixel so, and of the pixels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +47,9 @@ class View:
     brightness_jump: float  # rms change between frames that noise does not explain
     settings_share: float  # of the pixels whose amplitude depends on the exposure that they chose
     copies: int = 0  # frames that are another one bit by bit, noise and all
+    empty: int = 0  # frames beside these without a valid pixel that is not 0
+    moving_share: float = 0.0  # of the pixels that change as neither noise nor drift does
+    clipped_share: float = 0.0  # of the pixels that stand at the largest value there is
 
     @property
     def averages_needed(self) -> float:
@@ -63,6 +71,9 @@ class View:
             "snr": self.snr,
             "shift_sigma_px": self.sigma_px,
             "brightness_jump": self.brightness_jump,
+            "empty_frames": self.empty,
+            "moving_share": self.moving_share,
+            "clipped_share": self.clipped_share,
         }
 
 
@@ -74,38 +85,64 @@ def look(camera: Camera, patience_s: float) -> View:
         frames.append(camera.next_frame(patience_s))
         if len(frames) >= MOST_FRAMES:
             break
-    amplitude = np.stack([one.frame.amplitude for one in frames]).astype(np.float64)
-    valid = np.stack([one.frame.valid for one in frames])
     cycles = frames[-1].cycle - frames[0].cycle
     seconds = frames[-1].arrived_s - frames[0].arrived_s
-    always = np.asarray(valid.all(axis=0) & np.isfinite(amplitude).all(axis=0))
+    rate_hz = cycles / seconds if seconds > 0 else 0.0
+    lost_share = 1.0 - (len(frames) - 1) / cycles if cycles > 0 else 0.0
+    told = [one for one in frames if np.any(one.frame.amplitude[_seen(one)])] or frames
+    amplitude = np.stack([one.frame.amplitude for one in told]).astype(np.float64)
+    valid = np.stack([_seen(one) for one in told])
+    always = np.asarray(valid.all(axis=0))
     dark = View(
-        amplitude,
-        valid,
-        rate_hz=cycles / seconds if seconds > 0 else 0.0,
-        lost_share=1.0 - (len(frames) - 1) / cycles if cycles > 0 else 0.0,
-        snr=0.0,
-        sigma_px=np.full(2, np.inf),
-        brightness_jump=0.0,
-        settings_share=settings_share([one.raw for one in frames], amplitude, always),
-        copies=len(copied_frames(amplitude)),
-    )
-    if not always.any():
-        return dark
-    mean = np.where(always, amplitude.mean(axis=0), 0.0)
-    gain = np.array([np.median(one[always] / mean[always]) for one in amplitude])
-    flat = amplitude / gain[:, None, None]
+        amplitude, valid, rate_hz=rate_hz, lost_share=lost_share, snr=0.0,
+        sigma_px=np.full(2, np.inf), brightness_jump=0.0,
+        settings_share=settings_share([one.raw for one in told], amplitude, always),
+        copies=len(copied_frames(amplitude)), empty=len(frames) - len(told),
+    )  # fmt: skip
+    # A pixel that reads nothing at all is a dead one, and no measure of gain and noise.
+    lit = always & (np.median(np.where(always, amplitude, 0.0), axis=0) > 0.0)
+    return _measured(dark, lit) if lit.any() and len(told) > 1 else dark
+
+
+def _seen(shot: CameraFrame) -> Mask:
+    return np.asarray(shot.frame.valid & np.isfinite(shot.frame.amplitude))
+
+
+def _measured(view: View, lit: Mask) -> View:
+    """Return a view with what its lit pixels [row col] tell of light, noise, texture, motion."""
+    amplitude = view.amplitude
+    mean = np.where(lit, amplitude.mean(axis=0), 0.0)
+    gain = np.array([np.median(one[lit] / mean[lit]) for one in amplitude])
+    flat = amplitude / np.where(gain > 0.0, gain, 1.0)[:, None, None]  # a half may be covered
     noise = np.std(np.diff(flat, axis=0), axis=0) / np.sqrt(2.0)
-    snr = float(np.median(mean[always] / np.maximum(noise[always], 1e-12 * mean.max())))
+    snr = float(np.median(mean[lit] / np.maximum(noise[lit], 1e-12 * mean.max())))
     # The median of so many pixels scatters by itself.
-    chance2 = 0.5 * np.pi / (snr**2 * np.count_nonzero(always))
+    chance2 = 0.5 * np.pi / (snr**2 * np.count_nonzero(lit))
     jump = float(np.sqrt(max(np.var(gain) - 4.0 * chance2, 0.0)))
-    sigma = float(np.sqrt(np.mean(noise[always] ** 2)))
-    plain = np.where(always, flat, np.mean(mean[always]))
-    known = np.broadcast_to(always, plain.shape)
+    sigma = float(np.sqrt(np.mean(noise[lit] ** 2)))
+    plain = np.where(lit, flat, np.mean(mean[lit]))
+    known = np.broadcast_to(lit, plain.shape)
     covariance = texture_covariance(plain, known, np.zeros((len(plain), 2)), sigma)
     sigma_px = np.sqrt(np.diagonal(covariance))
-    return replace(dark, snr=snr, sigma_px=sigma_px, brightness_jump=jump)
+    largest = amplitude[:, lit] == amplitude[:, lit].max()
+    clipped = float(np.mean(largest.mean(axis=0) > _OFTEN)) if sigma > 0.0 else 0.0
+    moving = _moving_share(flat[:, lit], noise[lit], float(np.median(mean[lit])))
+    return replace(
+        view, snr=snr, sigma_px=sigma_px, brightness_jump=jump, moving_share=moving,
+        clipped_share=clipped,
+    )  # fmt: skip
+
+
+def _moving_share(flat: Floats, noise: Floats, usual: float) -> float:
+    """Return the share of pixels [frame pixel] that change slowly, by more than a drift.
+
+    What differs from frame to frame is noise, a steady drift changes each pixel in proportion to
+    time. What is left beside both has moved: somebody walks by, the bench was touched.
+    """
+    time = np.linspace(-1.0, 1.0, len(flat))[:, None]
+    slope = np.sum(time * flat, axis=0) / np.sum(time**2)
+    left2 = np.var(flat - slope * time, axis=0)
+    return float(np.mean(left2 > np.maximum(_SLOW * noise, PIXEL_NOISE * usual) ** 2))
 
 
 def settings_share(raw: list[Mapping[str, Array]], amplitude: Floats, always: Mask) -> float:
@@ -159,15 +196,19 @@ def view_findings(
     view: View, counts: Mapping[str, int], known: Mapping[str, Any]
 ) -> Iterator[Finding]:
     """Yield what is wrong with light, scene and network, by what the camera counted and is."""
+    yield from _still_findings(view)  # first: who walks by hides light and texture
     invalid = 1.0 - float(view.valid.mean())
     poor = view.averages_needed > MOST_AVERAGES
     along = ("rows", "columns")[int(np.argmax(view.sigma_px))]
     # The error of a shift goes with noise over texture: with fair light, would it do?
     fair = view.averages_needed * min(view.snr / _FAIR_SNR, 1.0) ** 2 <= MOST_AVERAGES
-    if invalid > _MOST_INVALID or (poor and fair):
+    if invalid > _MOST_INVALID or view.snr == 0.0 or (poor and fair):
         said = f"SNR {view.snr:.1f} of a pixel, {100 * invalid:.0f} % of the pixels are invalid"
         cure = "go nearer, take a brighter scene, longer exposure"
-        yield Finding(Level.FAULT, "too dark", said, cure)
+        bright = invalid > _MOST_INVALID and view.snr > _FAIR_SNR  # what is seen is not dark
+        if bright:
+            cure = "too bright there, or out of reach? shorter exposure, all of the scene in range"
+        yield Finding(Level.FAULT, "invalid pixels" if bright else "too dark", said, cure)
     elif poor:
         said = (
             f"the scene tells shifts across the {along} to {view.sigma_px.max():.2f} px a frame, "
@@ -200,3 +241,20 @@ def view_findings(
         said = f"{strangers} datagrams came to the camera's port from elsewhere ({who})"
         cure = 'end it, or write source = "ADDRESS OF THE CAMERA" in [camera]'
         yield Finding(Level.DOUBT, "foreign sender", said, cure)
+
+
+def _still_findings(view: View) -> Iterator[Finding]:
+    """Yield what a scene and a camera at rest would not show."""
+    if view.empty:
+        said = f"{view.empty} of {view.empty + len(view.valid)} frames show nothing"
+        cure = "look at trigger, exposure and shutter; what does the camera say of them?"
+        yield Finding(Level.DOUBT, "empty frames", said, cure)
+    if view.moving_share > _FEW_MOVE and not view.jumps:  # of the light, which change all
+        level = Level.FAULT if view.moving_share > _MANY_MOVE else Level.DOUBT
+        said = f"{100 * view.moving_share:.0f} % of the pixels change while the lens stands still"
+        cure = "let nothing move in the view; clamp camera and bench; no lamp but the camera's"
+        yield Finding(level, "moving scene", said, cure)
+    if view.clipped_share > _FEW_CLIPPED:
+        said = f"{100 * view.clipped_share:.0f} % of the pixels stand at the largest value"
+        cure = "shorter exposure, less gain, farther away: edges of saturated areas seem to move"
+        yield Finding(Level.DOUBT, "saturated", said, cure)
