@@ -137,7 +137,7 @@ def fit_scan(
     sigma_px = float(np.sqrt(np.mean(residual**2) * scale))
     told_px2 = np.diagonal(known_px2).reshape(-1, 2).mean(axis=0)
     blind = told_px2 > 0.5 * np.mean(residual**2, axis=0)
-    if not blind.any() and (said := jump_in(design, burst.offset_px)):
+    if not blind.all() and (said := jump_in(design, burst.offset_px[:, ~blind])):
         warn_quality(said, 2)
     _warn(sigma_px, matrix, sigma[:2].T, blind=blind)
     if lens_field is not None and bent is not None:
@@ -346,7 +346,7 @@ def _warn(sigma_px: float, matrix: Floats, matrix_sigma: Floats, *, blind: Mask)
             )
     if sigma_px > BUDGET_PX and not unseen.any():
         why = "does the stage repeat, did the scene stand still?"
-        if blind.any():
+        if blind.all():
             why = "the frames tell no better: average more of them, more light, more texture"
         warn_quality(
             f"the calibration leaves {sigma_px:.3f} px rms unexplained (want {BUDGET_PX} px); "

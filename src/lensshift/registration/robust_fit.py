@@ -63,7 +63,8 @@ def jump_in(design: Floats, offset_px: Floats) -> str:
     freedom = max(count - design.shape[1] - 1, 1)
     ratio = np.mean(size2 * jump_px**2 / np.maximum(left / freedom, 1e-18), axis=1)
     best = int(np.argmax(ratio))
-    size_px, chance = np.linalg.norm(jump_px[best]), len(places) * fdtrc(2, freedom, ratio[best])
+    size_px, axes = np.linalg.norm(jump_px[best]), offset_px.shape[1]
+    chance = len(places) * fdtrc(axes, freedom, ratio[best])
     if size_px < BUDGET_PX or chance > _JUMP_CHANCE:
         return ""
     return (
