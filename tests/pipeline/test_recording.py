@@ -422,6 +422,8 @@ def test_windows_that_show_nothing_stop_no_other(
             assert np.isnan(one.image).all() == nothing
             assert (one.status is Status.CONTRADICTED) or not nothing
     assert recording.NOTHING in " ".join(found.said)
+    # Those of a whole task had no time, and in an MCAP file were decades before the others.
+    np.testing.assert_allclose(numbers["time"], (numbers["first_frame"] + 1.5) / 50.0)
     # Its frames are those of the window alone, no dark place has one of a window before.
     number = int(np.flatnonzero(numbers["first_frame"] <= 13)[-1])
     first = int(numbers["first_frame"][number])

@@ -111,6 +111,10 @@ class Recording:
             )
         return _burst(self._container, (slice(first, first + count),))
 
+    def time_s(self, first: int, count: int) -> NDArray[np.float64] | None:
+        """Return the times [frame] of some frames, None if nobody told them."""
+        return self._container.known("time", kinds="uif", part=(slice(first, first + count),))
+
     def shown(self, first: int, count: int) -> NDArray[np.bool_]:
         """Return which of some frames [frame] show something: not the same in all valid pixels."""
         part = (slice(first, first + count),)

@@ -173,11 +173,11 @@ def solve_windows(job: Windows, first: int, count: int) -> Solved:
         template = job.burst(source, job.example, job.window)
         shown = source.shown(start, length)
         burst = job.burst(source, start, length) if shown.any() else None
+        time_s = source.time_s(start, length)
     rows: list[dict[str, Array]] = []
     said: list[str] = []
     for number, (found, wrong) in enumerate(_pictures(job, template, burst, shown, start, count)):
         part = slice(number * job.every, number * job.every + job.window)
-        time_s = None if burst is None else burst.time_s
         when_s = np.nan if time_s is None else float(np.mean(time_s[part]))
         rows.append({
             **_laid_out(job, found, wrong),
