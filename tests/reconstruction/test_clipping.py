@@ -16,11 +16,11 @@ from lensshift.forward.model import forward_model
 from lensshift.reconstruction.clipping import (
     beside,
     clipped_pixels,
+    measured,
     overexposed,
     silent_pixels,
     without_blank,
     without_copies,
-    without_stuck,
 )
 from lensshift.reconstruction.learned.noise import rounded_std
 from lensshift.reconstruction.noise_law import constant_noise
@@ -28,6 +28,13 @@ from lensshift.reconstruction.problem import make_problem
 
 SHAPE, SIGMA = (25, 34), 0.02
 NINE_PX = square(3)
+
+
+def without_stuck(burst: Burst) -> Burst:
+    found, said = measured(burst)
+    for text in said.values():
+        warnings.warn(text, QualityWarning, stacklevel=2)
+    return found
 
 
 def seen(seed: int, offset_px: NDArray[np.float64] = NINE_PX) -> NDArray[np.float64]:

@@ -310,6 +310,71 @@ def test_a_frame_that_shows_nothing_is_named_and_left_out(full):
     assert one.step(clean[at], place=at).settings["places"] == [0, 1, 2, 3]
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+@pytest.mark.parametrize("far", [True, False])
+def test_what_is_no_number_is_not_valid_whatever_a_frame_says(wrong, far):
+    """It ended each step of a round in an error, after the frame was taken."""
+    clean, one = clean_frames(0.2 + scene(11).truth), camera()
+    for number in range(8):
+        y = clean[number % 4] + 1e-3 * np.random.default_rng(number).standard_normal(SHAPE)
+        distance_m = y + 1 if far else None
+        if number == 5:
+            (y if distance_m is None else distance_m)[3, 4] = wrong
+        found = one.step(Frame(y, distance_m, np.ones(SHAPE, bool), 0.0))
+        assert np.isfinite(found.amplitude.image).all()
+        assert np.sum(~one.window.valid) == (number >= 5)
+
+
+@pytest.mark.parametrize("count", [4, 7])
+def test_after_a_round_of_nothing_the_picture_of_before_stays(count):
+    """It ended in an error about a first picture."""
+    clean, one, rng = clean_frames(scene(11).truth), camera(), np.random.default_rng(1)
+    run(one, clean, 4, sigma=1e-3, rng=rng)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QualityWarning)
+        found = run(one, np.full_like(clean, np.nan), count - 1, sigma=0, rng=rng)
+        one.take(np.full(SHAPE, np.nan))
+    with pytest.warns(QualityWarning, match="no frame of a round shows anything"):
+        last = one.picture()
+    assert (last.settings["places"], last.settings["event"]) == ([], "frames lost")
+    np.testing.assert_array_equal(last.amplitude.image, found[2].amplitude.image)
+    with pytest.raises(ValueError, match="no frame shows anything"):
+        _ = one.window
+    after = run(one, clean, 4, sigma=1e-3, rng=rng, first=count)
+    assert [len(picture.settings["places"]) for picture in after] == [1, 2, 3, 4]
+
+
+@pytest.mark.filterwarnings("ignore:the light changed")
+@pytest.mark.parametrize("waves", [True, False])
+def test_pixels_that_do_not_follow_the_scene_are_left_out_as_of_a_burst(waves):
+    """A stream did not look for them: its light was up to 14 times as far off."""
+    hot = np.zeros(SHAPE, bool)
+    hot[[6, 14], [8, 19]] = True
+    for seed in (71, 72, 73):
+        truths = [
+            phasor_mosaic(k, SHAPE).truth if waves else 0.2 + scene(k).truth
+            for k in (seed, seed + 10)
+        ]
+        rng, one, said = np.random.default_rng(seed), camera(modulation_hz=15e6), []
+        for number in range(24):  # the light changes, and then the scene
+            truth = truths[number >= 16] * (1.5 if number in (9, 10, 11) else 1)
+            y = clean_frames(truth)[number % 4] + 0.005 * rng.standard_normal(SHAPE)
+            y[hot] = 20.0
+            with warnings.catch_warnings(record=True, action="always") as told:
+                found = one.step(y)
+            said.extend(str(text.message) for text in told)
+            if number >= 3:
+                assert not np.any(one.window.valid & hot)
+            if number in (3, 7, 15, 23):
+                marked = lensshift.Burst.from_arrays(
+                    one.window.amplitude, offset_px=SQUARE_PX, pitch_mm=1.0,
+                    modulation_hz=15e6, valid=one.window.valid & ~hot,
+                )  # fmt: skip
+                alone = lensshift.reconstruct(marked, SCALE, psf_sigma_px=SQUARE_PIXEL_PX)
+                assert error(found, truth) < 1.15 * error(alone, truth)
+        assert sum("do not follow the scene" in text for text in said) == 1
+
+
 def test_a_blank_frame_is_lost_and_a_dark_scene_is_not():
     clean, one = clean_frames(scene(11).truth), camera()
     run(one, clean, 4, sigma=1e-3, rng=np.random.default_rng(1))

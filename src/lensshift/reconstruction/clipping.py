@@ -163,13 +163,10 @@ def without_copies(burst: Burst, used: Sequence[int], *, stacklevel: int = 2) ->
     return replace(burst, valid=valid)
 
 
-def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:
+def measured(burst: Burst) -> tuple[Burst, dict[str, str]]:
     """Return the burst without pixels that stay, or have no phasor, while the scene moves.
 
-    Warns
-    -----
-    QualityWarning
-        Of these.
+    And what is to be said of them, by what they are.
     """
     valid, waves = burst.valid, has_phasors(burst)
     across = np.ptp(burst.offset_px, axis=0) >= TELLING_MOVE_PX
@@ -185,6 +182,7 @@ def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:
             rows = defects.offset_columns(y.swapaxes(1, 2), valid.swapaxes(1, 2))
             stuck |= rows[:, None] & valid.all(axis=0)
     nothing = defects.not_measured(lights, valid & ~stuck) if waves else stuck[None] & False
+    said: dict[str, str] = {}
     for bad, what in (
         (stuck, "pixels that do not follow the scene are left out as defective"),
         (nothing.any(axis=0), "phasors of 0 in the midst of light are left out as not measured"),
@@ -192,12 +190,10 @@ def without_stuck(burst: Burst, *, stacklevel: int = 2) -> Burst:
         if bad.any():
             places = [f"({row}, {col})" for row, col in np.argwhere(bad)]
             shown = ", ".join(places[:3]) + (" ..." if len(places) > 3 else "")
-            warn_quality(
-                f"{what}: {len(places)}, at (row, col) {shown} (mark such pixels False in valid)",
-                stacklevel + 1,
-            )
+            found_at = f"{len(places)}, at (row, col) {shown}"
+            said[what] = f"{what}: {found_at} (mark such pixels False in valid)"
     left = valid & ~(stuck | nothing)
-    return burst if np.array_equal(left, valid) else replace(burst, valid=left)
+    return (burst if np.array_equal(left, valid) else replace(burst, valid=left)), said
 
 
 def warn_of_blind_frames(burst: Burst, used: tuple[int, ...], *, stacklevel: int) -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Mask
+from lensshift.core.defects import blank_frames
 from lensshift.core.local_means import mean_around
-from lensshift.core.types import Frame, Reconstruction, Status
+from lensshift.core.types import Burst, Frame, Reconstruction, Status
 from lensshift.reconstruction.following import MOST_SIGMAS, Followed, View, views_of
 from lensshift.reconstruction.photometry import light_since
 
@@ -198,3 +200,35 @@ class Claim:
         if max(shares[at], shares[self.counted]) <= RESTS:
             return False if nearest == self.counted else None
         return None if min(shares.values()) <= RESTS else False
+
+
+def frame_of(values: Frame | ArrayLike) -> Frame:
+    """Return a frame, or its amplitudes or phasors [row col]; valid at most where it is finite."""
+    if isinstance(values, Frame):
+        far_m = 0.0 if values.distance_m is None else values.distance_m
+        known = np.isfinite(values.amplitude) & np.isfinite(far_m)
+        return values if known.all() else replace(values, valid=values.valid & known)
+    amplitude = np.asarray(values)
+    if amplitude.ndim != 2 or amplitude.dtype.kind not in "uifc":
+        raise ValueError(
+            f"expected numbers [row col], got {amplitude.dtype} of shape {amplitude.shape}"
+        )
+    return Frame(amplitude, None, np.isfinite(amplitude), float("nan"))
+
+
+def is_blank(frame: Frame) -> bool:
+    """Tell whether all valid pixels of a frame are alike."""
+    return bool(blank_frames(frame.amplitude[None], frame.valid[None])[0])
+
+
+def burst_of(template: Burst, places: list[int], frames: list[Frame]) -> Burst:
+    """Return the frames of some places as a burst."""
+    having = [one.distance_m for one in frames if one.distance_m is not None]
+    part = template if len(places) == template.frame_count else template.select(places)
+    return replace(
+        part,
+        amplitude=np.stack([one.amplitude for one in frames]),
+        distance_m=np.stack(having) if len(having) == len(frames) else None,
+        valid=np.stack([one.valid for one in frames]),
+        time_s=None, raw={}, phasors=None,
+    )  # fmt: skip

@@ -18,11 +18,11 @@ from lensshift.core.phasors import distances_without
 from lensshift.core.stray_light import StrayLight
 from lensshift.core.types import Burst, Estimate, Reconstruction, ShiftField, Status, expect_burst
 from lensshift.reconstruction.clipping import (
+    measured,
     overexposed,
     warn_of_blind_frames,
     without_blank,
     without_copies,
-    without_stuck,
 )
 from lensshift.reconstruction.devices import Device, on_device
 from lensshift.reconstruction.learned.cut_noise import cut_off
@@ -358,10 +358,7 @@ def _checked(
     *,
     streamed: bool,
 ) -> Burst:
-    """Return the burst with the stray light that is told, and without the pixels that are stuck.
-
-    A stream does not look for these.
-    """
+    """Return the burst with the stray light that is told; a stream has looked for stuck pixels."""
     expect_burst(burst)
     if stray_light is not None:
         if not isinstance(stray_light, StrayLight):
@@ -371,7 +368,11 @@ def _checked(
         positive().check("noise_sigma", noise_sigma)
     if isinstance(scale, bool | float) or scale not in range(1, 9):
         raise ValueError(f"expected a whole scale from 1 to 8, got {scale!r}")
-    return burst if streamed else without_stuck(burst, stacklevel=3)
+    if not streamed:
+        burst, said = measured(burst)
+        for text in said.values():
+            warn_quality(text, 3)
+    return burst
 
 
 def _settings(

@@ -11,22 +11,29 @@ from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Floats, Mask
 from lensshift.core.burst_checks import all_valid
-from lensshift.core.defects import blank_frames
 from lensshift.core.errors import warn_quality
 from lensshift.core.types import Burst, Frame, Reconstruction
+from lensshift.reconstruction.clipping import measured
 from lensshift.reconstruction.following import Followed, brighter
 from lensshift.reconstruction.method import Method
 from lensshift.reconstruction.methods import make_method
 from lensshift.reconstruction.options import one_of
 from lensshift.reconstruction.phasor.choice import UNTOLD
 from lensshift.reconstruction.photometry import differing, lights
-from lensshift.reconstruction.places import BETTER_PLACE, MOST, RESTS, Claim, Known
+from lensshift.reconstruction.places import (
+    BETTER_PLACE,
+    MOST,
+    RESTS,
+    Claim,
+    Known,
+    burst_of,
+    frame_of,
+    is_blank,
+)
 from lensshift.reconstruction.reconstruct import reconstruct
 
 Pace = Literal["auto", "live", "refined"]
 
-# Rounds of the plan after which all is computed anew, so that nothing drifts.
-REFINED_ROUNDS = 1
 # Of the pictures of a scene that rests, so many are computed by the response and the shifts that
 # the frames of one did not contradict: their frames would say the same. A lens that goes out of
 # focus by less than is noticed is asked then.
@@ -48,6 +55,9 @@ class Stream:
         self._claim: Claim | None = None
         self._moved: dict[int, Mask] = {}  # where frames were not those of their places before
         self._partial = False  # whether some frames were left out of some pixels of the picture
+        self._stuck = np.zeros(template.grid.shape, np.bool_)  # left out of all frames
+        self._another = False  # whether these are of another scene
+        self._told: set[str] = set()  # what was said of such pixels
 
     @property
     def window(self) -> Burst:
@@ -58,7 +68,7 @@ class Stream:
         Raises
         ------
         ValueError
-            Before the first frame.
+            Before the first frame that shows anything, and after a round of none.
         """
         whole = self._in_one_light()[0]
         return self._of_now(whole) if self._partial else whole
@@ -96,23 +106,24 @@ class Stream:
             If the place is not on the plan, the frame is of another shape or kind than those
             before (amplitudes after phasors), or it holds phasors of several frequencies.
         """
-        one = frame if isinstance(frame, Frame) else _frame_of(frame)
+        one = frame_of(frame)
         if one.amplitude.shape != self._template.grid.shape:
             raise ValueError(
                 f"expected a frame of {self._template.grid.shape}, got {one.amplitude.shape}"
             )
         self._refuse_another_kind(one)
         place_now = self._next if place is None else place
-        others = (other for k, other in self._frames.items() if k != place_now)
-        lost = _blank(one) and not all(_blank(other) for other in others)
-        shows = bool(one.valid.any()) and not lost
+        others = [other for k, other in self._frames.items() if k != place_now]
+        lost = is_blank(one) and not all(map(is_blank, others))
+        shows = bool(np.any(one.valid & ~self._stuck)) and not lost
         latest = next(reversed(self._frames.values()), one)
         if shows and latest.distance_m is not None and one.distance_m is None:
             self._warn("a frame has no distances, so the picture has none while it is in there")
-        at, event, rests = self._placed(one, place, shows)
+        seen = replace(one, valid=one.valid & ~self._stuck) if self._stuck.any() else one
+        at, event, rests = self._placed(seen, place, shows)
         if event == "scene changed":
             self._frames.clear()
-            self._known, self._moved = None, {}
+            self._known, self._moved, self._another = None, {}, True
             if self._claim is not None:  # what it placed elsewhere is of after the change
                 self._frames.update(self._claim.frames)
         if event == "scene changed" or place is not None or not shows:
@@ -133,42 +144,63 @@ class Stream:
 
         Its settings say what was done: `pace` "live" (that of before, as bright and as far away as
         the frames since show it) or "refined" (`reconstruct`), `places` of the frames in it, and
-        `event` since the last one: "scene changed", "frames lost", "frame twice" or None.
+        `event` since the last one: "scene changed", "frames lost", "frame twice" or None. After a
+        round that shows nothing it is the one before, of no `places`.
         """
-        round_ends = self._since_refined + 1 >= REFINED_ROUNDS * self._template.frame_count
+        count = self._template.frame_count
+        round_ends = self._since_refined + 1 >= count  # all is computed anew, so nothing drifts
         # Until all frames are of after something moved, or it was not that.
-        settled = not 0 < self._contradicted < self._template.frame_count and not self._partial
+        settled = not 0 < self._contradicted < count and not self._partial
         live = self._rests and settled and self._pace != "refined" and not refined
-        live = live and not (self._pace == "auto" and round_ends)
-        if live and self._known is not None:
-            found = brighter(self._known.followed.found, self._known.light)
+        live = not self._frames or (live and not (self._pace == "auto" and round_ends))
+        known = self._known
+        if live and known is not None:
+            if not self._frames:
+                self._warn("no frame of a round shows anything: the picture is that of before")
+            found = brighter(known.followed.found, known.light)
             self._since_refined += 1
         else:
             rests = self._rests and settled and self._pace == "auto" and not refined
             before = self._believed() if rests else None
             self._since_asked = 0 if before is None else self._since_asked + 1
-            window, times = self._in_one_light()
+            window, times = self._in_one_light(look=True)
             found = self._solved(window, before)
             wrong = any("contradiction" in one.notes for one in found.channels.values())
             dimmed = min(1.0, float(times.min()))
-            self._known = Known(Followed(found, found), self._lit(times), dimmed=dimmed)
+            self._known = Known(Followed(found, found), self._lit(window, times), dimmed=dimmed)
             self._contradicted = self._contradicted + 1 if wrong else 0
             self._since_refined, live = 0, False
         event, self._event, self._rests = self._event, None, True
         said = {"pace": "live" if live else "refined", "places": sorted(self._frames)}
         return replace(found, settings=dict(found.settings) | said | {"event": event})
 
-    def _in_one_light(self) -> tuple[Burst, Floats]:
-        """Return the frames as bright as the latest, and by what [frame] they are multiplied."""
+    def _in_one_light(self, *, look: bool = False) -> tuple[Burst, Floats]:
+        """Return the frames as bright as the latest, and by what [frame] they are multiplied.
+
+        Parameters
+        ----------
+        look : for pixels that do not follow the scene; else those are left out that did not before
+        """
         places = sorted(self._frames)
         if not places:
-            raise ValueError("expected a frame with a valid pixel before the first picture")
-        window = _burst_of(self._template, places, [self._frames[k] for k in places])
-        if self._settings.get("photometric"):
-            return window, np.ones(len(places))
-        times = lights(window, places.index(self.frames[-1]))
-        if np.any(times != 1):  # else their numbers stay what they are
+            raise ValueError("no frame shows anything: expected a frame with a valid pixel")
+        whole = burst_of(self._template, places, [self._frames[k] for k in places])
+        window, said = measured(whole) if look else (whole, {})
+        even = self._settings.get("photometric")
+        times = np.ones(len(places)) if even else lights(window, places.index(self.frames[-1]))
+        lit = bool(np.any(times != 1))
+        if lit:  # else their numbers stay what they are
             window = replace(window, amplitude=window.amplitude * times[:, None, None])
+        if look:
+            # In another light none stays the same, and a few frames do not say.
+            if self._another and not lit and len(places) == self._template.frame_count:
+                self._stuck, self._another = np.zeros_like(self._stuck), False
+            self._stuck = self._stuck | np.all(whole.valid & ~window.valid, axis=0)
+            for what in said.keys() - self._told:
+                self._warn(said[what])
+            self._told |= said.keys()
+        if self._stuck.any():
+            window = replace(window, valid=window.valid & ~self._stuck)
         return window, times
 
     def _solved(self, window: Burst, before: Reconstruction | None) -> Reconstruction:
@@ -201,19 +233,17 @@ class Stream:
         self._moved[at] = moved
         self._moved = {k: one for k, one in self._moved.items() if one.any()}
 
-    def _lit(self, times: Floats) -> dict[int, Frame]:
-        """Return the frames so many times as bright, of which the user is told."""
-        frames, other = dict(self._frames), np.flatnonzero(times != 1)
-        for n in other:
-            k = sorted(frames)[n]
-            frames[k] = replace(frames[k], amplitude=frames[k].amplitude * times[n])
+    def _lit(self, window: Burst, times: Floats) -> dict[int, Frame]:
+        """Return the frames of a window; the user is told if they are so many times as bright."""
+        other = times[times != 1]
         if other.size:
-            most = max(times[other], key=lambda one: abs(math.log(one)))
+            most = max(other, key=lambda one: abs(math.log(one)))
             self._warn(
                 f"the light changed: {other.size} frames of before are multiplied, by up to "
                 f"{most:.3g}, to be as bright as the latest"
             )
-        return frames
+        seen = zip(sorted(self._frames), window.amplitude, window.valid, strict=True)
+        return {k: replace(self._frames[k], amplitude=y, valid=valid) for k, y, valid in seen}
 
     def _refuse_another_kind(self, frame: Frame) -> None:
         """Refuse what does not go into one burst: of amplitudes alone phases would be 0.
@@ -355,29 +385,3 @@ def stream(
         )  # fmt: skip
     paced: Pace = pace if name == "auto" else "refined"
     return Stream(template, scale, paced, {"method": method} | settings)
-
-
-def _frame_of(values: ArrayLike) -> Frame:
-    amplitude = np.asarray(values)
-    if amplitude.ndim != 2 or amplitude.dtype.kind not in "uifc":
-        raise ValueError(
-            f"expected numbers [row col], got {amplitude.dtype} of shape {amplitude.shape}"
-        )
-    return Frame(amplitude, None, np.isfinite(amplitude), float("nan"))
-
-
-def _blank(frame: Frame) -> bool:
-    return bool(blank_frames(frame.amplitude[None], frame.valid[None])[0])
-
-
-def _burst_of(template: Burst, places: list[int], frames: list[Frame]) -> Burst:
-    """Return the frames of some places as a burst."""
-    having = [one.distance_m for one in frames if one.distance_m is not None]
-    part = template if len(places) == template.frame_count else template.select(places)
-    return replace(
-        part,
-        amplitude=np.stack([one.amplitude for one in frames]),
-        distance_m=np.stack(having) if len(having) == len(frames) else None,
-        valid=np.stack([one.valid for one in frames]),
-        time_s=None, raw={}, phasors=None,
-    )  # fmt: skip
