@@ -12,23 +12,8 @@ from lensshift.io.result_file import load_reconstruction, save_reconstruction
 from lensshift.io.sequence_file import load_window
 
 __all__ = [
-    "OffsetTable",
-    "export_burst",
-    "export_image",
-    "export_reconstruction",
-    "load_burst",
-    "load_image_stack",
-    "load_lens_field",
-    "load_offsets",
-    "load_reconstruction",
-    "load_window",
-    "memory_limit",
-    "napari_layers",
-    "open_recording",
-    "picture_layers",
-    "save_burst",
-    "save_lens_field",
-    "save_point_cloud",
-    "save_reconstruction",
-    "write_recording",
-]
+    "OffsetTable", "export_burst", "export_image", "export_reconstruction", "load_burst",
+    "load_image_stack", "load_lens_field", "load_offsets", "load_reconstruction", "load_window",
+    "memory_limit", "napari_layers", "open_recording", "picture_layers", "save_burst",
+    "save_lens_field", "save_point_cloud", "save_reconstruction", "write_recording",
+]  # fmt: skip

@@ -204,20 +204,15 @@ def _burst(
     each = part and (slice(None), *part)
     flags = container.array("flags", kinds="ui", part=part)
     return Burst.from_arrays(
-        container.array("amplitude", part=part),
-        container.known("distance", part=part),
+        container.array("amplitude", part=part), container.known("distance", part=part),
         phasors=container.known("phasors", kinds="c", part=each),
         affine=container.known("affine", kinds="uif", part=part),
         time_s=container.known("time", kinds="uif", part=part),
-        pitch_mm=container.number_pair("pitch_mm"),
-        valid=(flags & _INVALID) == 0,
+        pitch_mm=container.number_pair("pitch_mm"), valid=(flags & _INVALID) == 0,
         modulation_hz=container.numbers("modulation_hz"),
-        offset_source=container.text("offset_source"),
-        intrinsics=read_intrinsics(container),
-        meta=container.mapping("meta"),
-        raw=raw or {},
-        **fields,
-    )
+        offset_source=container.text("offset_source"), intrinsics=read_intrinsics(container),
+        meta=container.mapping("meta"), raw=raw or {}, **fields,
+    )  # fmt: skip
 
 
 def _variables(burst: Burst) -> dict[str, writer.Variable]:

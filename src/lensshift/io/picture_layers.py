@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lensshift.core.types import Burst, Reconstruction
 
 LayerTuple = tuple[NDArray[Any], dict[str, Any], str]
-_UNITS = {"amplitude": "", "distance": "m"}
+UNITS = {"amplitude": "", "distance": "m"}
 COLOURS = {"amplitude": "gray", "distance": "viridis"}  # of the maps that show a channel
 
 
@@ -42,7 +42,7 @@ def picture_layers(value: Burst | Reconstruction) -> list[PictureLayer]:
         return found
     found = []
     for name, estimate in value.channels.items():
-        unit = _UNITS[name]
+        unit = UNITS[name]
         found.append(PictureLayer(name, _real(estimate.image), unit))
         if estimate.std is not None:
             found.append(PictureLayer(f"{name}_std", _real(estimate.std), unit))
@@ -75,7 +75,7 @@ def napari_layers(value: Burst | Reconstruction) -> list[LayerTuple]:
             "name": one.name,
             "scale": (*stacked, row_mm, col_mm),
             "metadata": {"unit": one.unit, "source": "lensshift"},
-            "visible": one.name in _UNITS,
+            "visible": one.name in UNITS,
         }
         if one.values.dtype == np.bool_:
             layers.append((one.values.astype(np.uint8), options, "labels"))

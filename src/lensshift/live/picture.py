@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array
-from lensshift.core.types import Burst, Reconstruction
+from lensshift.core.types import Burst, Frame, Reconstruction
+from lensshift.io.picture_layers import UNITS
 from lensshift.live.sources import Shot
 
 _LEVELS = 65534  # 0 is kept for what is not known
@@ -54,15 +55,17 @@ def residual_over_noise(result: Reconstruction) -> float | None:
     return next((float(np.sqrt(np.nanmean(one))) for one in misfits), None)
 
 
+def frame_images(frame: Frame) -> dict[str, Array]:
+    """Return the images [row col] of a frame by channel, NaN where it is not valid."""
+    known = {"amplitude": np.abs(frame.amplitude), "distance": frame.distance_m}
+    return {name: np.where(frame.valid, y, np.nan) for name, y in known.items() if y is not None}
+
+
 def one_frame(picture: Picture) -> dict[str, Array]:
     """Return the latest frame by channel, each LR pixel as a block of HR pixels."""
-    frame, scale = picture.shot.frame, picture.result.scale
-    known = {"amplitude": np.abs(frame.amplitude), "distance": frame.distance_m}
-    return {
-        name: np.kron(np.where(frame.valid, values, np.nan), np.ones((scale, scale)))
-        for name, values in known.items()
-        if values is not None and name in picture.result.channels
-    }
+    block = np.ones((picture.result.scale, picture.result.scale))
+    seen, wanted = frame_images(picture.shot.frame), picture.result.channels
+    return {name: np.kron(values, block) for name, values in seen.items() if name in wanted}
 
 
 def layers_of(picture: Picture) -> Iterator[tuple[str, str, Array]]:
@@ -70,22 +73,18 @@ def layers_of(picture: Picture) -> Iterator[tuple[str, str, Array]]:
 
     `one.` begins the names of the latest frame, [row col] on the LR grid.
     """
-    frame, result = picture.shot.frame, picture.result
-    for name, unit in (("amplitude", ""), ("distance", "m")):
-        estimate = result.channels.get(name)
-        if estimate is None:
-            continue
-        yield name, unit, np.abs(estimate.image)
+    result = picture.result
+    for name, estimate in result.channels.items():
+        yield name, UNITS[name], np.abs(estimate.image)
         if isinstance(estimate.uncertainty, np.ndarray):
-            yield f"std.{name}", unit, estimate.uncertainty
+            yield f"std.{name}", UNITS[name], estimate.uncertainty
     misfit = [one.misfit for one in result.channels.values() if one.misfit is not None]
     if misfit:
         yield "misfit", "", np.sqrt(misfit[0])
     if result.flying is not None:
         yield "flying", "", result.flying.astype(np.float64)
-    yield "one.amplitude", "", np.where(frame.valid, np.abs(frame.amplitude), np.nan)
-    if frame.distance_m is not None:
-        yield "one.distance", "m", np.where(frame.valid, frame.distance_m, np.nan)
+    for name, values in frame_images(picture.shot.frame).items():
+        yield f"one.{name}", UNITS[name], values
 
 
 def packed_layers(picture: Picture) -> tuple[list[dict[str, Any]], bytes]:

@@ -66,12 +66,9 @@ class Recording:
             self._begin(shot.plan)
         seen = {one.name: getattr(shot.frame, one.name) for one in fields(shot.frame)}
         record = FrameRecord(
-            step=shot.place,
-            offset_px=np.asarray(shot.offset_px),
-            stage_mm=shot.stage_mm,
-            stage_commanded_mm=shot.commanded_mm,
-            **seen,
-        )
+            step=shot.place, offset_px=np.asarray(shot.offset_px), stage_mm=shot.stage_mm,
+            stage_commanded_mm=shot.commanded_mm, **seen,
+        )  # fmt: skip
         self._file.append(record)
         self._file.frames.clear()  # they are on disk; a long recording shall not fill memory
         self._steps.append(shot.place)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
 import secrets
 import socket
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -62,6 +62,8 @@ def serve(
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:
             await super().startup(sockets)
             on_ready(f"http://{_named(listener)}/{token}/")
+            if seconds is not None:
+                asyncio.get_running_loop().call_later(seconds, end)
 
     server = _Server(config)
 
@@ -70,16 +72,8 @@ def serve(
 
     if on_start is not None:
         on_start(end)
-    timer = None if seconds is None else threading.Timer(seconds, end)
-    try:
-        if timer is not None:
-            timer.daemon = True
-            timer.start()
+    with listener:
         server.run([listener])
-    finally:
-        if timer is not None:
-            timer.cancel()
-        listener.close()
 
 
 def require_web() -> None:

@@ -22,7 +22,13 @@ from lensshift.core.intrinsics import Intrinsics, Pinhole
 from lensshift.live.controls import box_of, choices, control
 from lensshift.live.gate import Gate
 from lensshift.live.measure import beside, edge_curve, shift_error
-from lensshift.live.picture import Picture, message, packed_layers, residual_over_noise
+from lensshift.live.picture import (
+    Picture,
+    frame_images,
+    message,
+    packed_layers,
+    residual_over_noise,
+)
 from lensshift.live.recording import save_snapshot
 from lensshift.live.worker import FAILURES, Live
 
@@ -47,7 +53,6 @@ class Pages:
         self._pool: ProcessPoolExecutor | None = None
         self._shift: dict[str, float] | None = None
         self._packed: tuple[int, list[dict[str, Any]], bytes] = (0, [], b"")
-        self.sent = 0
 
     @asynccontextmanager
     async def lifespan(self, _: object) -> AsyncIterator[None]:
@@ -135,7 +140,6 @@ class Pages:
                     self._packed = (last, *packed_layers(picture))
                 _, layers, data = self._packed
                 await socket.send_bytes(message(self.head(picture) | {"layers": layers}, data))
-                self.sent += 1
 
     async def _newer(self, number: int) -> Picture | None:
         end_s = time.monotonic() + _ALIVE_S
@@ -181,16 +185,17 @@ class Pages:
         if picture is None or pool is None:
             return _json({"error": "no picture yet"}, 409)
         box = box_of((await _asked(request)).get("box"), picture.result.grid.shape)
-        images = _edge_images(picture)
+        name = next(iter(picture.result.channels))  # the amplitude, or else the distance
+        seen = frame_images(picture.shot.frame).get(name)
+        if seen is None:
+            raise ValueError(f"the frames have no {name}")
+        fine = np.abs(picture.result.channels[name].image)
         scale, pitch_mm = picture.result.scale, float(np.mean(picture.window.grid.pitch_mm))
         coarse = (box[0] // scale, -(-box[1] // scale), box[2] // scale, -(-box[3] // scale))
         loop, found, most_lpmm = asyncio.get_running_loop(), {}, 0.6 * scale / pitch_mm
-        for name, image, times, place in (
-            ("one", images[0], 1, coarse),
-            ("fine", images[1], scale, box),
-        ):
+        for of, image, times, place in (("one", seen, 1, coarse), ("fine", fine, scale, box)):
             try:
-                found[name] = await loop.run_in_executor(
+                found[of] = await loop.run_in_executor(
                     pool, edge_curve, image, pitch_mm / times, times, place, most_lpmm
                 )
             except BrokenExecutor as error:
@@ -199,16 +204,6 @@ class Pages:
                 return _json({"error": "lensshift live is ending"}, 503)
         nyquist = {"one_lpmm": 0.5 / pitch_mm, "fine_lpmm": 0.5 * scale / pitch_mm}
         return _json({"box": box, "number": picture.number, "nyquist": nyquist, **found})
-
-
-def _edge_images(picture: Picture) -> tuple[Any, Any]:
-    """Return one frame and the picture, [row col], of the amplitude or else of the distance."""
-    name = next(iter(picture.result.channels))
-    frame = picture.shot.frame
-    values = np.abs(frame.amplitude) if name == "amplitude" else frame.distance_m
-    if values is None:
-        raise ValueError(f"the frames have no {name}")
-    return np.where(frame.valid, values, np.nan), np.abs(picture.result.channels[name].image)
 
 
 def _about(picture: Picture, now_s: float) -> dict[str, Any]:

@@ -113,60 +113,45 @@ def overexposed(values: Array, clipped: Mask | None) -> str | None:
     )
 
 
-def without_blank(burst: Burst, used: Sequence[int], *, stacklevel: int = 2) -> Burst:
+def without_blank(burst: Burst, used: Sequence[int]) -> tuple[Burst, list[str]]:
     """Return the burst without those used frames that show nothing, where others show something.
 
-    Warns
-    -----
-    QualityWarning
-        Of these.
+    And what is to be said of them.
     """
     blank = defects.blank_frames(burst.amplitude, burst.valid)
     blank &= np.isin(np.arange(burst.frame_count), used)
     if blank.sum() in (0, len(used)):
-        return burst
-    warn_quality(
+        return burst, []
+    return replace(burst, valid=burst.valid & ~blank[:, None, None]), [
         f"frame {', '.join(map(str, np.flatnonzero(blank)))}: all valid pixels are alike, as where "
-        "a shutter stayed closed; left out",
-        stacklevel + 1,
-    )
-    return replace(burst, valid=burst.valid & ~blank[:, None, None])
+        "a shutter stayed closed; left out"
+    ]
 
 
-def without_copies(burst: Burst, used: Sequence[int], *, stacklevel: int = 2) -> Burst:
+def without_copies(burst: Burst, used: Sequence[int]) -> tuple[Burst, list[str]]:
     """Return the burst without those used frames that are copies of one at the same place.
 
-    Their noise is that of the other one: it would seem to be less. (Of those that were told to lie
-    elsewhere the frames say themselves that they do not fit.)
-
-    Warns
-    -----
-    QualityWarning
-        Of these.
+    And what is to be said of them. Their noise is that of the other one: it would seem to be less.
+    (Of those that were told to lie elsewhere the frames say themselves that they do not fit.)
     """
-    numbers = list(used)
-    places = [
-        (numbers[k], numbers[of])
-        for k, of in defects.copied_frames(burst.amplitude[numbers]).items()
-    ]
+    copies = defects.copied_frames(burst.amplitude[list(used)])
+    places = [(used[k], used[of]) for k, of in copies.items()]
     alike = [(k, of) for k, of in places if np.array_equal(burst.offset_px[k], burst.offset_px[of])]
     if not alike or burst.affine is not None:
-        return burst
+        return burst, []
     said = ", ".join(f"{k} (of {of})" for k, of in alike[:3]) + (" ..." if alike[3:] else "")
-    warn_quality(
-        f"copies of frames, noise and all, are left out: frame {said}. They tell nothing new, and "
-        "noise would seem to be less. Were they handed out twice?",
-        stacklevel + 1,
-    )
     valid = np.array(burst.valid)
     valid[[k for k, _ in alike]] = False
-    return replace(burst, valid=valid)
+    return replace(burst, valid=valid), [
+        f"copies of frames, noise and all, are left out: frame {said}. They tell nothing new, and "
+        "noise would seem to be less. Were they handed out twice?"
+    ]
 
 
-def measured(burst: Burst) -> tuple[Burst, dict[str, str]]:
+def measured(burst: Burst) -> tuple[Burst, list[str]]:
     """Return the burst without pixels that stay, or have no phasor, while the scene moves.
 
-    And what is to be said of them, by what they are.
+    And what is to be said of them; what they are ends at the colon.
     """
     valid, waves = burst.valid, has_phasors(burst)
     across = np.ptp(burst.offset_px, axis=0) >= TELLING_MOVE_PX
@@ -182,16 +167,15 @@ def measured(burst: Burst) -> tuple[Burst, dict[str, str]]:
             rows = defects.offset_columns(y.swapaxes(1, 2), valid.swapaxes(1, 2))
             stuck |= rows[:, None] & valid.all(axis=0)
     nothing = defects.not_measured(lights, valid & ~stuck) if waves else stuck[None] & False
-    said: dict[str, str] = {}
+    said: list[str] = []
     for bad, what in (
         (stuck, "pixels that do not follow the scene are left out as defective"),
         (nothing.any(axis=0), "phasors of 0 in the midst of light are left out as not measured"),
     ):
         if bad.any():
-            places = [f"({row}, {col})" for row, col in np.argwhere(bad)]
-            shown = ", ".join(places[:3]) + (" ..." if len(places) > 3 else "")
-            found_at = f"{len(places)}, at (row, col) {shown}"
-            said[what] = f"{what}: {found_at} (mark such pixels False in valid)"
+            at = [f"({row}, {col})" for row, col in np.argwhere(bad)]
+            shown = f"{len(at)}, at (row, col) " + ", ".join(at[:3]) + (" ..." if at[3:] else "")
+            said.append(f"{what}: {shown} (mark such pixels False in valid)")
     left = valid & ~(stuck | nothing)
     return (burst if np.array_equal(left, valid) else replace(burst, valid=left)), said
 

@@ -148,7 +148,7 @@ def reconstruct(
         response than was told, or are overexposed.
     """
     before = streamed if isinstance(streamed, Reconstruction) else None
-    burst = _checked(burst, scale, noise_sigma, stray_light, streamed=bool(streamed))
+    burst = _checked(burst, scale, noise_sigma, stray_light)
     options |= {} if prior_weight is None else {"prior_weight": prior_weight}
     chosen = make_method(method, options)
     name, own = chosen.name, chosen.settings
@@ -186,12 +186,7 @@ def reconstruct(
 
 
 def _estimates(
-    burst: Burst,
-    part: Burst,
-    channel: str,
-    chosen: Method,
-    request: Request,
-    seen: dict[str, Any],
+    burst: Burst, part: Burst, channel: str, chosen: Method, request: Request, seen: dict[str, Any]
 ) -> tuple[dict[str, Estimate], Array | None]:
     """Reconstruct both channels from phasors, with what flies, or each on its own."""
     if channel == "phasor":
@@ -245,11 +240,7 @@ def _objected(
 
 
 def _solve(
-    burst: Burst,
-    problem: Problem,
-    method: Method,
-    request: Request,
-    field: ShiftField | None,
+    burst: Burst, problem: Problem, method: Method, request: Request, field: ShiftField | None
 ) -> Estimate:
     """Run the method and bring the estimate back to the units of the burst."""
     gain, bias = np.ones(len(problem.y)), np.zeros(len(problem.y))
@@ -323,11 +314,17 @@ def _parts(
 
     Warns of what the frames can hardly be like; of those of a stream all that was done and said.
     """
+    said: list[str] = []
     if not request.streamed:
-        burst = without_copies(without_blank(burst, used, stacklevel=3), used, stacklevel=3)
+        burst, said = measured(burst)
+        for leaving_out in (without_blank, without_copies):
+            burst, more = leaving_out(burst, used)
+            said += more
     part = burst if used == tuple(range(burst.frame_count)) else burst.select(used)
-    if not request.streamed and (said := colour_mosaic(part.amplitude, part.valid)):
-        warn_quality(said, 3)
+    if not request.streamed:
+        said.append(colour_mosaic(part.amplitude, part.valid))
+    for text in filter(None, said):
+        warn_quality(text, 3)
     return burst, part, None if field is None else field.select(used)
 
 
@@ -351,14 +348,9 @@ def _field_of(
 
 
 def _checked(
-    burst: Burst,
-    scale: int,
-    noise_sigma: float | None,
-    stray_light: StrayLight | None,
-    *,
-    streamed: bool,
+    burst: Burst, scale: int, noise_sigma: float | None, stray_light: StrayLight | None
 ) -> Burst:
-    """Return the burst with the stray light that is told; a stream has looked for stuck pixels."""
+    """Return the burst with the stray light that is told."""
     expect_burst(burst)
     if stray_light is not None:
         if not isinstance(stray_light, StrayLight):
@@ -368,18 +360,11 @@ def _checked(
         positive().check("noise_sigma", noise_sigma)
     if isinstance(scale, bool | float) or scale not in range(1, 9):
         raise ValueError(f"expected a whole scale from 1 to 8, got {scale!r}")
-    if not streamed:
-        burst, said = measured(burst)
-        for text in said.values():
-            warn_quality(text, 3)
     return burst
 
 
 def _settings(
-    burst: Burst,
-    seen: dict[str, Any],
-    request: Request,
-    choice: Choice,
+    burst: Burst, seen: dict[str, Any], request: Request, choice: Choice
 ) -> dict[str, Any]:
     cards = burst.meta.get("wcs")  # of the first frame, see `io.fits_file`
     sky = {"wcs": {"cards": cards, "offset_px": burst.offset_px[0].tolist()}} if cards else {}

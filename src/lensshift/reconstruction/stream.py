@@ -185,7 +185,7 @@ class Stream:
         if not places:
             raise ValueError("no frame shows anything: expected a frame with a valid pixel")
         whole = burst_of(self._template, places, [self._frames[k] for k in places])
-        window, said = measured(whole) if look else (whole, {})
+        window, said = measured(whole) if look else (whole, [])
         even = self._settings.get("photometric")
         times = np.ones(len(places)) if even else lights(window, places.index(self.frames[-1]))
         lit = bool(np.any(times != 1))
@@ -196,9 +196,10 @@ class Stream:
             if self._another and not lit and len(places) == self._template.frame_count:
                 self._stuck, self._another = np.zeros_like(self._stuck), False
             self._stuck = self._stuck | np.all(whole.valid & ~window.valid, axis=0)
-            for what in said.keys() - self._told:
-                self._warn(said[what])
-            self._told |= said.keys()
+            for text in said:
+                if (what := text.partition(":")[0]) not in self._told:
+                    self._warn(text)
+                self._told.add(what)
         if self._stuck.any():
             window = replace(window, valid=window.valid & ~self._stuck)
         return window, times
