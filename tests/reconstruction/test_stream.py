@@ -211,6 +211,29 @@ def test_another_scene_is_noticed_and_shown_within_a_round():
     assert error(found[-1], after) < 1.1 * error(alone[-1], after)
 
 
+@pytest.mark.parametrize("waves", [True, False])
+def test_more_noise_is_no_other_scene(waves):
+    """As when the sun comes out: all frames of before were left out, and one was left."""
+    ratios = []
+    for seed in (91, 92, 93):
+        truth = phasor_mosaic(seed, SHAPE).truth if waves else 0.2 + scene(seed).truth
+        clean, rng, one = (
+            clean_frames(truth),
+            np.random.default_rng(seed),
+            camera(modulation_hz=15e6),
+        )
+        sigma = 0.02 * np.abs(clean).mean()
+        run(one, clean, 9, sigma=sigma, rng=rng)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", QualityWarning)
+            found = run(one, clean, 4, sigma=5 * sigma, rng=rng, first=9)
+        assert {picture.settings["event"] for picture in found} == {None}
+        noisy = clean[1] + 5 * sigma * rng.standard_normal(SHAPE)
+        alone = camera(modulation_hz=15e6).step(noisy, place=1)
+        ratios.append(error(found[0], truth) / error(alone, truth))
+    assert max(ratios) < 0.6
+
+
 def test_a_lens_that_rests_streams_as_well():
     before, after = scene(33).truth, scene(34).truth
     rng, at = np.random.default_rng(5), np.zeros((1, 2))

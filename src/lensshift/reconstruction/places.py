@@ -12,6 +12,7 @@ from lensshift.core.defects import blank_frames
 from lensshift.core.local_means import mean_around
 from lensshift.core.types import Burst, Frame, Reconstruction, Status
 from lensshift.reconstruction.following import MOST_SIGMAS, Followed, View, views_of
+from lensshift.reconstruction.noise import robust_scale
 from lensshift.reconstruction.photometry import light_since
 
 # A frame is of another scene where most pixels are farther from the picture than noise and shifts
@@ -23,6 +24,9 @@ RESTS = 0.001
 # A frame was taken elsewhere on the plan if there it contradicts in less than this part of where it
 # does at its own place: what moved contradicts at all of them.
 BETTER_PLACE = 0.5
+# More noise than before, as under the sun, is in most pixels, and has nothing in common in two that
+# lie side by side; of scenes these have a fifth and more. What follows a frame takes a tenth off.
+NOISIER, IN_COMMON = 1.5, 0.15
 # What a smooth scene contradicts nowhere says its place by all of its pixels together: it lies
 # three quarters of the way, and nine times the noise of that way, from where it is expected.
 NEARER, WAY_SIGMAS = 0.75, 12.0
@@ -200,6 +204,25 @@ class Claim:
         if max(shares[at], shares[self.counted]) <= RESTS:
             return False if nearest == self.counted else None
         return None if min(shares.values()) <= RESTS else False
+
+
+def is_noisier(changed: dict[str, View]) -> bool:
+    """Tell whether what changed in a frame is no other scene, but more noise than expected.
+
+        MAD z > 1.5 that of noise,   |Re sum z z'*| < 0.15 sum |z|^2
+
+    With z what is left beside what a picture follows, in units of its deviation, and z' its
+    neighbour, along rows and along columns.
+    """
+    first = next(iter(changed.values()), None)
+    if first is None or not first.valid.any():
+        return False
+    left = first.without(first.change)
+    z = left.rest / np.sqrt(left.variance)
+    most = IN_COMMON * float(np.sum(np.abs(z) ** 2))
+    of_pairs = ((z[1:], z[:-1]), (z[:, 1:], z[:, :-1]))
+    alone = all(abs(float(np.sum((a * b.conj()).real))) < most for a, b in of_pairs)
+    return alone and robust_scale(z[left.valid]) > NOISIER
 
 
 def frame_of(values: Frame | ArrayLike) -> Frame:

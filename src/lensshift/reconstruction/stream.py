@@ -29,6 +29,7 @@ from lensshift.reconstruction.places import (
     burst_of,
     frame_of,
     is_blank,
+    is_noisier,
 )
 from lensshift.reconstruction.reconstruct import reconstruct
 
@@ -295,6 +296,8 @@ class Stream:
             self._claim = None if true else self._claim.also(frame)
         asked = place is None and len(known.frames) == count > 1
         best = known.nearest(frame, at) if asked and known.fits else at
+        if best == at and share > RESTS and is_noisier(changed):
+            return at, None, False
         if best == at and share <= RESTS:
             self._note_moved(frame, at, share)
             if self._pace != "refined":
