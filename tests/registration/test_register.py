@@ -63,6 +63,19 @@ def test_shifts_of_nine_frames_err_by_what_is_told() -> None:
     assert 0.6 < np.sqrt(np.mean(np.square(over))) < 1.25
 
 
+def test_pixels_that_no_frame_sees_do_not_hold_the_shifts_back() -> None:
+    """They lie at one place in all frames, as if there a scene stood still."""
+    planned_px = tuple(product((-1 / 3, 0.0, 1 / 3), repeat=2))
+    whole, without = [], []
+    for seed in range(3):
+        burst, true_px = taken(random_boxes(seed), 0.06, seed, planned_px)
+        seen = np.random.default_rng(seed).random(burst.grid.shape) > 0.05
+        whole.append(register(burst).offset_px - true_px)
+        masked = replace(burst, valid=np.broadcast_to(seen, burst.amplitude.shape))
+        without.append(register(masked).offset_px - true_px)
+    assert np.sqrt(np.mean(np.square(without))) < 1.5 * np.sqrt(np.mean(np.square(whole)))
+
+
 @cache
 def error_and_sigma_px(name: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
     burst, true_px = taken(scene(name), seed=seed)

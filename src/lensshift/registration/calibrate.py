@@ -17,16 +17,14 @@ from lensshift.core.types import Burst
 from lensshift.registration.blocks import filled
 from lensshift.registration.field import fit_field
 from lensshift.registration.light import light_allowed_for
-from lensshift.registration.likelihood import ShiftFit, likely_shifts, with_given
+from lensshift.registration.likelihood import likely_shifts, with_given
 from lensshift.registration.phase import phase_shifts, unlike_frames
 from lensshift.registration.picture import alternate, prediction_error
-from lensshift.registration.reference_image import reference_image
 from lensshift.registration.register import UNLIKE, frames_of, say_left_out
 from lensshift.registration.robust_fit import BUDGET_PX, jump_in, robust_fit
 
 _PLAY_PASSES = 4  # of play, and where in it the axes stand
 _LEAST_MOTION = 1e-3  # of the scan: less is none
-_FILLINGS = 2  # of pixels that see nothing: by the shifts found first, and by better ones
 _LEAST_FRAMES = 9  # map, play, drift and constant, and some over
 _BLIND_SHARE = 0.05  # of the map: 0.02 px of a move by half a pixel, with two standard errors
 
@@ -197,30 +195,13 @@ def _registered(burst: Burst, *, photometric: bool | None) -> tuple[Burst, Mask,
         return burst, kept, covariance_px2
     gain, own = light_allowed_for(whole, phase_px, photometric, range(burst.frame_count))
     start_px = _best_of(_starts(burst, phase_px), whole / gain, valid)
-    found = _likely(frames / gain, valid, start_px, photometric=own)
+    found = likely_shifts(frames / gain, valid, start_px, photometric=own)
     # Where the frames tell nothing, a shift is known to be some pixels at most.
     found = with_given(found, burst.offset_px - burst.offset_px[0], None, said=False)
     burst = replace(
         burst, offset_px=found.offset_px, offset_sigma_px=found.sigma_px, offset_source="registered"
     )
     return burst, kept, found.covariance_px2
-
-
-def _likely(frames: Array, valid: Mask, start_px: Floats, *, photometric: bool) -> ShiftFit:
-    """Return the likeliest shifts; what a pixel does not see is what other frames show there.
-
-    A defect lies at one place in all frames: a likelihood that has to guess what is behind it makes
-    a picture that stands still there, and shifts to go with it.
-    """
-    if valid.all():
-        return likely_shifts(frames, valid, start_px, photometric=photometric)
-    weight, everywhere = valid.astype(np.float64), np.ones_like(valid)
-    for _ in range(_FILLINGS):
-        shown = reference_image(np.where(valid, frames, 0.0), weight, start_px).seen
-        whole = np.where(valid, frames, shown)
-        fit = likely_shifts(whole, everywhere, start_px, photometric=photometric)
-        start_px = fit.offset_px
-    return replace(fit, covariance_px2=fit.covariance_px2 / weight.mean())
 
 
 def _best_of(starts: list[Floats], frames: Array, valid: Mask) -> Floats:

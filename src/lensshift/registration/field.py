@@ -65,7 +65,7 @@ def fit_field(
     if best is not None:
         slip_px = known_px + np.einsum("rcij,fj->ifrc", best, away_mm)
     slope = reference_image(frames, weight, offset_px, slip_px).slope
-    seen = weight * taper_frames(frames, weight > 0, offset_px, own_mean=False).window ** 2
+    seen = weight * taper_frames(frames, offset_px, own_mean=False).window ** 2
     doubt_px2 = _doubt(slope, seen, offset_px, _basis(burst.grid.shape, MAX_ORDER))
     return best, order, _of_texture(slope, seen, slip_px), doubt_px2
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lensshift.core.arrays import Array, Floats, Mask, Shifts
 from lensshift.registration.curvature import LEAST_SHARE, Curvature, newton
+from lensshift.registration.reference_image import shown_everywhere
 from lensshift.registration.score import Score, State
 from lensshift.registration.spectrum import Frequencies, first_spectrum
 from lensshift.registration.taper import Tapered, quiet_flank_px, share_enough, taper_frames
@@ -32,6 +33,7 @@ UNKNOWN_PX = 1.0
 # the information, at SNR 1000, where aliases dwarf the noise and nine frames or more have several
 # of them in the model.
 _RETURNS, _SURE_SHARE = 0.1, 0.9
+_FILLINGS = 2  # of pixels that see nothing
 # What is not known at all, beside what may be known.
 _BLIND_PX = 1e3
 
@@ -92,7 +94,8 @@ def likely_shifts(
     neither biases the shifts; that the same scene is behind all frames is what tells them
     apart. Fisher scoring; standard errors from the curvature with the taper in tow (`Curvature`).
     A search that leaves what the frames share knows nothing.
-    Invalid pixels are filled with what the model expects of them, again in each iteration.
+    Invalid pixels are what other frames show there (`shown_everywhere`), by the start and again by
+    what is found from there; a share of pixels tells that share of the information.
 
     Parameters
     ----------
@@ -103,11 +106,14 @@ def likely_shifts(
 
     Source: Whittle (1953); Gaussian Fisher scoring as in Kay, Estimation Theory (1993) ch. 3.
     """
-    search = partial(
-        _search, frames, valid, reference=reference, photometric=photometric,
-        max_iterations=max_iterations,
-    )  # fmt: skip
-    fit, share, along = search(start_px)
+    for _ in range(1 if valid.all() else _FILLINGS):
+        search = partial(
+            _search, shown_everywhere(frames, valid, start_px), reference=reference,
+            photometric=photometric, max_iterations=max_iterations,
+        )  # fmt: skip
+        fit, share, along = search(start_px)
+        start_px = fit.offset_px
+    fit = replace(fit, covariance_px2=fit.covariance_px2 / max(float(valid.mean()), 1e-12))
     reach = Frequencies.of(frames.shape, whole_plane=frames.dtype.kind == "c").reach
     if not (reach > 1 and LEAST_SHARE < share < _SURE_SHARE):
         return fit
@@ -126,7 +132,6 @@ def likely_shifts(
 
 def _search(
     frames: Array,
-    valid: Mask,
     start_px: Shifts,
     *,
     reference: int,
@@ -139,8 +144,8 @@ def _search(
     the frames have least detail.
     """
     at = Frequencies.of(frames.shape, whole_plane=frames.dtype.kind == "c")
-    flank_px = quiet_flank_px(frames, valid, start_px, own_mean=photometric)
-    taper = partial(taper_frames, frames, valid, own_mean=photometric, flank_px=flank_px)
+    flank_px = quiet_flank_px(frames, start_px, own_mean=photometric)
+    taper = partial(taper_frames, frames, own_mean=photometric, flank_px=flank_px)
     tapered = taper(start_px)
     state = _first(at, tapered.spectra, start_px, np.ones(len(frames)))
     kinds = 3 if photometric else 2
@@ -149,7 +154,7 @@ def _search(
     curvature: Curvature | None = None
     damping = 1.0
     for _ in range(max_iterations):
-        tapered = taper(state.offset_px, expected=tapered.expected)
+        tapered = taper(state.offset_px)
         now = state.score(tapered.spectra, kinds, whole=freed == 0)
         state.spectrum = now.learned.spectrum
         if freed == _FREE_ROUNDS and curvature is None:
@@ -177,8 +182,6 @@ def _search(
         elif largest_px < CONVERGED_PX or told < CONVERGED_SIGMAS:
             converged = True
             break
-        if not valid.all():
-            tapered = tapered.with_expected(now.learned.expected)
     if curvature is None:
         curvature = _bent(taper, state, tapered, now, reference)
         _, spread = newton(*now.of(0, free), curvature, kinds)
@@ -191,7 +194,7 @@ def _bent(
     taper: Callable[..., Tapered], state: State, tapered: Tapered, now: Score, reference: int
 ) -> Curvature:
     def seen(offset_px: Shifts) -> Array:
-        return taper(offset_px, expected=tapered.expected).spectra
+        return taper(offset_px).spectra
 
     return state.curvatures(tapered.spectra, seen, now.information, reference)[0]
 
@@ -224,17 +227,15 @@ def likely_steps(
     """
     count, kinds = len(frames), 3 if photometric else 2
     tapers = []
+    frames = shown_everywhere(frames, valid, fit.offset_px)
     for rows, cols in parts:
-        part = frames[:, rows, cols], valid[:, rows, cols]
-        flank_px = quiet_flank_px(*part, fit.offset_px, own_mean=photometric)
-        tapers.append(partial(taper_frames, *part, own_mean=photometric, flank_px=flank_px))
+        part = frames[:, rows, cols]
+        flank_px = quiet_flank_px(part, fit.offset_px, own_mean=photometric)
+        tapers.append(partial(taper_frames, part, own_mean=photometric, flank_px=flank_px))
     tapered = [taper(fit.offset_px) for taper in tapers]
 
     def seen(offset_px: Shifts) -> Array:
-        return np.concatenate([
-            taper(offset_px, expected=at.expected).spectra
-            for taper, at in zip(tapers, tapered, strict=True)
-        ])  # fmt: skip
+        return np.concatenate([taper(offset_px).spectra for taper in tapers])
 
     shape = (count, *tapered[0].window.shape[1:])
     at = Frequencies.of(shape, whole_plane=frames.dtype.kind == "c", sets=len(parts))
@@ -243,10 +244,6 @@ def likely_steps(
     for _ in range(_FREE_ROUNDS):
         learned = state.spectrum.learned(y, state.steering, whole=False)
         state.spectrum = learned.spectrum.freed(learned.power)
-        if not valid.all():
-            each = np.split(learned.expected, len(parts))
-            tapered = [one.with_expected(of) for one, of in zip(tapered, each, strict=True)]
-            y = seen(fit.offset_px)
     now = state.score(y, kinds, whole=False)
     bent = state.curvatures(y, seen, now.information, reference)
     free = _free(count, kinds, reference)
@@ -254,7 +251,8 @@ def likely_steps(
     for number, (curvature, one) in enumerate(zip(bent, tapered, strict=True)):
         step = np.zeros((count, kinds))
         step.ravel()[free], spread = newton(*now.of(number, free), curvature, kinds)
-        own = _fit_of(state, spread * one.inflation, reference, converged=True)
+        spread *= one.inflation / max(float(valid[:, *parts[number]].mean()), 1e-12)
+        own = _fit_of(state, spread, reference, converged=True)
         found.append((step[:, :2], own.sigma_px))
     return found
 

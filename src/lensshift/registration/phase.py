@@ -239,9 +239,7 @@ def _plane(first: Array, second: Array, start_px: Shifts, band: float) -> Shifts
     shift_px = start_px.copy()
     for _ in range(_PLANE_PASSES):
         offset_px = np.stack([np.zeros(2), shift_px])
-        spectra = taper_frames(
-            frames, np.ones(frames.shape, np.bool_), offset_px, own_mean=True
-        ).spectra
+        spectra = taper_frames(frames, offset_px, own_mean=True).spectra
         cross = spectra[:, 1] * np.conj(spectra[:, 0])
         weight = low * np.abs(cross)
         moment = (frequency * weight) @ frequency.T

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.forward.least_squares import conjugate_gradient
 
 # Knots per pixel, and how stiff the spline is where no pixel says anything. Two hold no edge of a
@@ -51,6 +51,23 @@ def reference_image(
     if slip_px is not None:
         seen = seen - np.sum(slope * slip_px, axis=0)
     return ReferenceImage(seen, slope)
+
+
+def shown_everywhere(frames: Array, valid: Mask, offset_px: Floats) -> Array:
+    """Return the frames; what a pixel does not see is what other frames show there.
+
+    A defect lies at one place in all frames: where what is behind it is guessed from what is beside
+    it, the guess stands still while the scene moves.
+    """
+    if valid.all():
+        return frames
+    if frames.dtype.kind == "c":
+        real, imag = (
+            shown_everywhere(part, valid, offset_px) for part in (frames.real, frames.imag)
+        )
+        return np.asarray(real + 1j * imag)
+    seen = reference_image(np.where(valid, frames, 0.0), valid.astype(np.float64), offset_px).seen
+    return np.where(valid, frames, seen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

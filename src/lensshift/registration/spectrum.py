@@ -215,21 +215,20 @@ class Spectrum:
 
         `ask` is told of each part of the frequencies, to take what else it says.
         """
-        sets, noise = self.frequencies.sets, self.frequencies.each(self.noise_power)
+        sets = self.frequencies.sets
         score, information = np.zeros((3, sets)), np.zeros((3, 3, sets))
-        power, expected = np.empty_like(self.power), np.empty_like(spectra)
+        power = np.empty_like(self.power)
         pairs = steering.pairs.view(np.float64).T
         for one in self.solved(spectra, steering):
-            part, inverse, y, seen = one
+            part, inverse, _, seen = one
             self._score(one, steering, score, information, whole=whole)
             data = seen @ np.conj(steering.alias).T
             known = inverse.reshape(len(seen), -1).view(np.float64) @ pairs
             mean_square = (self.power[part] * np.abs(data)) ** 2
             power[part] = mean_square + self.power[part] - self.power[part] ** 2 * known
-            expected[part] = np.conj(steering.back[part]) * (y - noise[part, None] * seen)
             if ask is not None:
                 ask(one)
-        return Learned(*self._stepped(score, information), power, expected)
+        return Learned(*self._stepped(score, information), power)
 
     def _score(
         self, at: Solved, steering: Steering, score: Floats, information: Floats, *, whole: bool
@@ -284,7 +283,6 @@ class Learned(NamedTuple):
     spectrum: Spectrum  # after one step of Fisher scoring
     step: float  # its size
     power: Floats  # [frequency alias] E|X|^2 given the frames
-    expected: Array  # [frequency frame] what of the spectra is scene, not noise
 
 
 def first_spectrum(frequencies: Frequencies, spectra: Array, steering: Steering) -> Spectrum:

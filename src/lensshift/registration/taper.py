@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Floats, Mask, Shifts
+from lensshift.core.arrays import Array, Floats, Shifts
 
 # Share of the common length over which a whole taper rises at each end: nothing rises slower that
 # leaves a plateau as long as its flanks.
@@ -25,30 +25,11 @@ class Tapered:
 
     spectra: Array  # [frequency frame] scaled so that white noise keeps its variance; without f = 0
     window: Floats  # [frame row col]
-    scale: Floats  # [frame] root of the energy of the windows
-    expected: Array | None  # [frame row col] what the model expects of the tapered frames, or None
-    inflation: float  # by how much the taper and invalid pixels widen a variance
-
-    def with_expected(self, expected: Array) -> Tapered:
-        """Return it with what the model expects of the spectra, to fill invalid pixels with."""
-        count, rows, cols = self.window.shape
-        whole = len(expected) + 1 == rows * cols  # of complex frames
-        columns = cols if whole else cols // 2 + 1
-        padded = np.zeros((rows * columns, count), np.complex128)
-        padded[1:] = expected
-        shaped = padded.T.reshape(count, rows, columns) * self.scale[:, None, None]
-        filling = np.fft.ifft2(shaped) if whole else np.fft.irfft2(shaped, s=(rows, cols))
-        return replace(self, expected=filling)
+    inflation: float  # by how much the taper widens a variance
 
 
 def taper_frames(
-    frames: Array,
-    valid: Mask,
-    offset_px: Shifts,
-    *,
-    own_mean: bool,
-    expected: Array | None = None,
-    flank_px: float = np.inf,
+    frames: Array, offset_px: Shifts, *, own_mean: bool, flank_px: float = np.inf
 ) -> Tapered:
     """Taper the frames where the scene is, not where the pixels are, and transform them.
 
@@ -60,9 +41,8 @@ def taper_frames(
 
     Parameters
     ----------
-    frames, valid : [frame row col]
+    frames : [frame row col]
     own_mean : whether each frame has its own mean taken off, or all the same
-    expected : [frame row col] tapered values for invalid pixels; by default 0, the mean
     flank_px : over which the window rises at each end, at most a quarter of the common length
     """
     rows, cols = frames.shape[1:]
@@ -70,30 +50,23 @@ def taper_frames(
         _axis_window(size, offset_px[:, axis], flank_px) for axis, size in enumerate((rows, cols))
     )
     window = down[:, :, None] * across[:, None, :]
-    whole = bool(valid.all())
-    used = window if whole else window * valid
-    known = frames if whole else np.where(valid, frames, 0)
-    total = np.einsum("krc,krc->k", used, known)
-    weight = np.einsum("krc->k", used)
+    total = np.einsum("krc,krc->k", window, frames)
+    weight = np.einsum("krc->k", window)
     if own_mean:
         mean = total / np.maximum(weight, 1e-12)
     else:
         mean = np.full(len(frames), total.sum() / max(weight.sum(), 1e-12))
-    values = used * (known - mean[:, None, None])
-    if not whole and expected is not None:
-        values = np.where(valid, values, expected)
+    values = window * (frames - mean[:, None, None])
     energy = np.sum(down**2, axis=1) * np.sum(across**2, axis=1)
-    scale = np.sqrt(energy)
     transform = np.fft.fft2 if frames.dtype.kind == "c" else np.fft.rfft2
-    spectra = (transform(values) / scale[:, None, None]).reshape(len(frames), -1).T[1:]
+    spectra = transform(values) / np.sqrt(energy)[:, None, None]
     # Variance of an estimate from tapered data (Dahlhaus 1988).
     fourth = float(np.sum(down**4, axis=1) @ np.sum(across**4, axis=1))
     inflation = rows * cols * fourth / len(frames) / energy.mean() ** 2
-    share = float(np.vdot(used, used) / energy.sum())
-    return Tapered(spectra, window, scale, expected, float(inflation) / max(share, 1e-12))
+    return Tapered(spectra.reshape(len(frames), -1).T[1:], window, float(inflation))
 
 
-def quiet_flank_px(frames: Array, valid: Mask, offset_px: Shifts, *, own_mean: bool) -> float:
+def quiet_flank_px(frames: Array, offset_px: Shifts, *, own_mean: bool) -> float:
     """Return the shortest flank that leaks nothing, of 2, 3, 4.5 ... px up to a whole taper.
 
     What a shorter flank adds to the finest frequencies, beyond a third of a cycle per pixel, is
@@ -101,7 +74,7 @@ def quiet_flank_px(frames: Array, valid: Mask, offset_px: Shifts, *, own_mean: b
 
     Parameters
     ----------
-    frames, valid : [frame row col]
+    frames : [frame row col]
     offset_px : [frame 2]
     own_mean : as in `taper_frames`
     """
@@ -110,7 +83,7 @@ def quiet_flank_px(frames: Array, valid: Mask, offset_px: Shifts, *, own_mean: b
     fine = np.maximum(np.abs(np.fft.fftfreq(rows))[:, None], np.abs(col_cpp)).ravel()[1:]
 
     def fine_power(flank_px: float) -> tuple[float, float]:
-        tapered = taper_frames(frames, valid, offset_px, own_mean=own_mean, flank_px=flank_px)
+        tapered = taper_frames(frames, offset_px, own_mean=own_mean, flank_px=flank_px)
         power = np.abs(tapered.spectra[fine > _FINE_CPP]) ** 2
         inflation = max(tapered.inflation, 1.0)
         return float(power.mean()), float(inflation / power.size)
