@@ -63,6 +63,20 @@ def test_shifts_of_nine_frames_err_by_what_is_told() -> None:
     assert 0.6 < np.sqrt(np.mean(np.square(over))) < 1.25
 
 
+def test_a_fixed_pattern_does_not_hold_the_shifts_back() -> None:
+    """Pixels whose gain differs by 3 % show that in all frames, as a scene that stood still."""
+    bright = replace(SNR_50, full_well_electrons=80_000.0, bits=16)
+    away_px, over = [], []
+    for seed in range(3):
+        burst, true_px = taken(random_boxes(seed), 0.06, seed, sensor=bright)
+        gain = 1.0 + 0.03 * np.random.default_rng(seed).standard_normal(burst.grid.shape)
+        found = register(replace(burst, amplitude=burst.amplitude * gain))
+        away_px.append((found.offset_px - true_px)[1:])
+        over.append(away_px[-1] / found.offset_sigma_px[1:])
+    assert np.sqrt(np.mean(np.square(away_px))) < 0.005
+    assert np.sqrt(np.mean(np.square(over))) < 1.3
+
+
 def test_pixels_that_no_frame_sees_do_not_hold_the_shifts_back() -> None:
     """They lie at one place in all frames, as if there a scene stood still."""
     planned_px = tuple(product((-1 / 3, 0.0, 1 / 3), repeat=2))

@@ -33,6 +33,8 @@ UNKNOWN_PX = 1.0
 # the information, at SNR 1000, where aliases dwarf the noise and nine frames or more have several
 # of them in the model.
 _RETURNS, _SURE_SHARE = 0.1, 0.9
+LEAST_TELLING = 3  # frames that tell what stays at the pixels from what moves
+_GROWS = 0.1  # logarithm of the power of a pattern, in a round
 _FILLINGS = 2  # of pixels that see nothing
 # What is not known at all, beside what may be known.
 _BLIND_PX = 1e3
@@ -49,6 +51,7 @@ class ShiftFit:
     gain : [frame] amplitude against the reference
     noise_sigma : of an LR pixel, as far as the model does not explain the frames
     converged : whether the last step was small
+    pattern_sigma : of what stays at the pixels while the scene moves, as far as that was asked
     """
 
     offset_px: Shifts
@@ -56,6 +59,7 @@ class ShiftFit:
     gain: Floats
     noise_sigma: float
     converged: bool
+    pattern_sigma: float = 0.0
 
     @property
     def sigma_px(self) -> Shifts:
@@ -85,14 +89,15 @@ def likely_shifts(
 ) -> ShiftFit:
     """Estimate the offsets of all frames by maximum likelihood.
 
-        Y_k(f) = g_k sum_m X(f + m) exp(-2 pi i (f + m) . d_k) + N_k(f),   m in {-r ... r}^2
-        S(f) = sum_m P(f + m) a_m a_m^H + sigma^2 I,   a_m = g exp(-2 pi i (f + m) . d)
+        Y_k(f) = g_k sum_m X(f + m) exp(-2 pi i (f + m) . d_k) + N_k(f) + F(f),  m in {-r ... r}^2
+        S(f) = sum_m P(f + m) a_m a_m^H + sigma^2 I + tau^2 1 1^T,  a_m = g exp(-2 pi i (f + m) . d)
         maximise  - sum_f [ log det S(f) + Y^H S^-1 Y ]
 
     X is a random image of power P: a power law behind the blur of a pixel at first, then
-    whatever power the frames show. The aliases m != 0 and the noise are part of the model, so
-    neither biases the shifts; that the same scene is behind all frames is what tells them
-    apart. Fisher scoring; standard errors from the curvature with the taper in tow (`Curvature`).
+    whatever power the frames show. The aliases m != 0, the noise and the fixed pattern F of the
+    pixels are part of the model, so none biases the shifts; that the same scene is behind all
+    frames, and where it is in each, is what tells them apart. Fisher
+    scoring; standard errors from the curvature with the taper in tow (`Curvature`).
     A search that leaves what the frames share knows nothing.
     Invalid pixels are what other frames show there (`shown_everywhere`), by the start and again by
     what is found from there; a share of pixels tells that share of the information.
@@ -156,6 +161,7 @@ def _search(
     for _ in range(max_iterations):
         tapered = taper(state.offset_px)
         now = state.score(tapered.spectra, kinds, whole=freed == 0)
+        grows = now.learned.spectrum.pattern_over(state.spectrum) > _GROWS
         state.spectrum = now.learned.spectrum
         if freed == _FREE_ROUNDS and curvature is None:
             curvature = _bent(taper, state, tapered, now, reference)
@@ -176,10 +182,15 @@ def _search(
         state.offset_px = state.offset_px + step[:, :2]
         if photometric:
             state.log_gain = np.clip(state.log_gain + step[:, 2], -_LARGEST_LOG, _LARGEST_LOG)
-        if freed < _FREE_ROUNDS and (largest_px < _FREE_BELOW_PX or told < _FREE_BELOW_SIGMAS):
+        near = largest_px < _FREE_BELOW_PX or told < _FREE_BELOW_SIGMAS
+        unasked = not state.spectrum.pattern_asked and len(frames) >= LEAST_TELLING
+        if freed == 0 and unasked and largest_px < _FREE_BELOW_PX:
+            # Not before: where shifts are not known, a pattern may be all that rests.
+            state.spectrum = state.spectrum.asking_pattern()
+        elif near and freed < _FREE_ROUNDS and not (freed == 0 and grows):
             state.spectrum = state.spectrum.freed(now.learned.power)
             freed += 1
-        elif largest_px < CONVERGED_PX or told < CONVERGED_SIGMAS:
+        elif freed == _FREE_ROUNDS and (largest_px < CONVERGED_PX or told < CONVERGED_SIGMAS):
             converged = True
             break
     if curvature is None:
@@ -199,9 +210,11 @@ def _bent(
     return state.curvatures(tapered.spectra, seen, now.information, reference)[0]
 
 
-def _first(at: Frequencies, spectra: Array, offset_px: Shifts, gain: Floats) -> State:
-    """Return where a search begins."""
-    spectrum = first_spectrum(at, spectra, at.steering(offset_px, gain))
+def _first(
+    at: Frequencies, spectra: Array, offset_px: Shifts, gain: Floats, pattern: float = -np.inf
+) -> State:
+    """Return where a search begins, beside a pattern with this logarithm of its power."""
+    spectrum = first_spectrum(at, spectra, at.steering(offset_px, gain), pattern)
     return State(offset_px.copy(), np.log(gain), spectrum)
 
 
@@ -240,7 +253,9 @@ def likely_steps(
     shape = (count, *tapered[0].window.shape[1:])
     at = Frequencies.of(shape, whole_plane=frames.dtype.kind == "c", sets=len(parts))
     y = np.concatenate([one.spectra for one in tapered])
-    state = _first(at, y, fit.offset_px, fit.gain)
+    # What moves in a part would pass for a pattern of its own.
+    log_pattern = 2.0 * float(np.log(fit.pattern_sigma)) if fit.pattern_sigma > 0 else -np.inf
+    state = _first(at, y, fit.offset_px, fit.gain, log_pattern)
     for _ in range(_FREE_ROUNDS):
         learned = state.spectrum.learned(y, state.steering, whole=False)
         state.spectrum = learned.spectrum.freed(learned.power)
@@ -291,4 +306,5 @@ def _fit_of(state: State, spread: Array, reference: int, *, converged: bool) -> 
     return ShiftFit(
         offset_px=state.offset_px, covariance_px2=covariance, gain=np.exp(state.log_gain),
         noise_sigma=float(np.sqrt(state.spectrum.noise_power[0])), converged=converged,
+        pattern_sigma=float(np.exp(0.5 * state.spectrum.log_pattern[0])),
     )  # fmt: skip

@@ -17,6 +17,10 @@ PIXEL_SIGMA_PX = 0.3
 _FURTHEST_ALIAS = 3  # of sharp edges behind half-filled pixels 1e-5 of the power lies beyond
 # The freed power leans towards the power law as if it had seen that many bins of it.
 _LEANING_BINS = 0.3
+# Of a pattern against noise, logarithms: a thousandth is none.
+_LEAST_LOG_PATTERN, _FIRST_LOG_PATTERN = -7.0, -4.0
+# Of the power of the frames: a pattern of 4 % of the light, where that varies by 30 %.
+_MOST_PATTERN = 0.02
 _LEAST_FREEDOM = 1e-6  # so that roots and logarithms exist
 _PASSES, _SMALL_STEP = 5, 0.02  # of the first power law, which goes on to change later
 _NEIGHBOURS = 3  # bins along each axis that are averaged
@@ -157,7 +161,7 @@ class Solved(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Power of the scene at each frequency and alias, and of white noise.
+    """Power of the scene at each frequency and alias, of white noise and of a fixed pattern.
 
         P = exp(log_level) (f0^2 + |f|^2)^-exponent exp(-(2 pi sigma |f|)^2) freedom
 
@@ -170,7 +174,10 @@ class Spectrum:
     log_level: Floats
     exponent: Floats
     log_noise: Floats
+    log_pattern: Floats  # of what stays at the pixels while the scene moves
     freedom: Floats  # [frequency alias] factor that the frames have shown, 1 at first
+    most_pattern: Floats | float = np.inf  # [set] logarithm; more is a scene that stands still
+    pattern_asked: bool = False  # or else it is known
 
     @property
     def noise_power(self) -> Floats:
@@ -190,7 +197,7 @@ class Spectrum:
     def solved(self, spectra: Array, steering: Steering) -> Iterator[Solved]:
         """Yield a part of the frequencies after another, with S^-1 and S^-1 y there.
 
-        S = sum P b b^H + sigma^2 I
+        S = sum P b b^H + sigma^2 I + tau^2 c c^H,   c = exp(2 pi i f . d)
         """
         power, diagonal = self.power, np.arange(spectra.shape[1])
         noise = self.frequencies.each(self.noise_power)
@@ -199,9 +206,16 @@ class Spectrum:
             matrix = steering.summed(power[part])
             rounding = _ROUNDING * power[part].sum(axis=-1)
             matrix[:, diagonal, diagonal] += (noise[part] + rounding)[:, None]
+            matrix += self._still(steering, part)
             inverse = np.linalg.inv(matrix)
             seen = (inverse @ turned[part][..., None])[..., 0]
             yield Solved(part, inverse, turned[part], seen)
+
+    def _still(self, steering: Steering, part: slice) -> Array:
+        """Return the covariance of the fixed pattern [f frame frame]: it is in all frames alike."""
+        tau = np.exp(0.5 * self.frequencies.each(self.log_pattern))
+        back = steering.back[part] * tau[part, None]
+        return np.asarray(back[:, :, None] * np.conj(back[:, None]))
 
     def learned(
         self,
@@ -216,7 +230,7 @@ class Spectrum:
         `ask` is told of each part of the frequencies, to take what else it says.
         """
         sets = self.frequencies.sets
-        score, information = np.zeros((3, sets)), np.zeros((3, 3, sets))
+        score, information = np.zeros((4, sets)), np.zeros((4, 4, sets))
         power = np.empty_like(self.power)
         pairs = steering.pairs.view(np.float64).T
         for one in self.solved(spectra, steering):
@@ -233,7 +247,7 @@ class Spectrum:
     def _score(
         self, at: Solved, steering: Steering, score: Floats, information: Floats, *, whole: bool
     ) -> None:
-        """Add the gradient of the likelihood by noise, level and exponent [3 set], information.
+        """Add the gradient by noise, pattern, level and exponent [4 set], and information.
 
         Level and exponent take part if `whole`.
         """
@@ -241,7 +255,8 @@ class Spectrum:
         weight = self.frequencies.of_set[:, part]
         noise = self.frequencies.each(self.noise_power)[part, None, None]
         powers = (self.power, -self.power * self.frequencies.log_square) if whole else ()
-        slopes = [noise * np.eye(seen.shape[1]), *(steering.summed(one[part]) for one in powers)]
+        slopes = [noise * np.eye(seen.shape[1]), self._still(steering, part),
+                  *(steering.summed(one[part]) for one in powers)]  # fmt: skip
         whitened = [noise * inverse, *(inverse @ one for one in slopes[1:])]
         for i, slope in enumerate(slopes):
             bent = np.sum(np.conj(seen) * (slope @ seen[..., None])[..., 0], axis=1)
@@ -256,15 +271,19 @@ class Spectrum:
         square = square + np.triu(square, 1).swapaxes(1, 2)
         step = (np.linalg.pinv(square, hermitian=True) @ score.T[..., None])[..., 0]
         # The whole step is shortened: level and exponent go together, and a step that is cut in one
-        # of them alone leaves the likelihood worse, to and fro without end.
-        step /= np.maximum(np.abs(step).max(axis=1, keepdims=True), 1.0)
+        # of them alone leaves the likelihood worse, to and fro without end. A pattern that is small
+        # as yet asks for steps as large as its score is unsure.
+        still, rest = np.clip(step[:, 1], -1.0, 1.0), step[:, [0, 2, 3]]
+        rest /= np.maximum(np.abs(rest).max(axis=1, keepdims=True), 1.0)
+        log_noise = self.log_noise + rest[:, 0]
+        log_pattern = np.maximum(self.log_pattern + still, log_noise + _LEAST_LOG_PATTERN)
+        log_pattern = np.minimum(log_pattern, self.most_pattern)
         moved = replace(
-            self,
-            log_noise=self.log_noise + step[:, 0],
-            log_level=self.log_level + step[:, 1],
-            exponent=np.clip(self.exponent + step[:, 2], 0.0, 4.0),
-        )
-        return moved, float(np.abs(step).max())
+            self, log_noise=log_noise, log_level=self.log_level + rest[:, 1],
+            log_pattern=log_pattern if self.pattern_asked else self.log_pattern,
+            exponent=np.clip(self.exponent + rest[:, 2], 0.0, 4.0),
+        )  # fmt: skip
+        return moved, float(np.abs(rest).max())
 
     def freed(self, power: Floats) -> Spectrum:
         """Return the spectrum with the power that the frames show, smoothed over neighbours.
@@ -276,6 +295,16 @@ class Spectrum:
         lean = bins / (bins + _LEANING_BINS)
         return replace(self, freedom=np.maximum(ratio, _LEAST_FREEDOM) ** lean)
 
+    def pattern_over(self, before: Spectrum) -> float:
+        """Return by how much the logarithm of the power of the pattern has grown, 0 if unasked."""
+        if not before.pattern_asked:
+            return 0.0
+        return float(np.max(self.log_pattern - before.log_pattern))
+
+    def asking_pattern(self) -> Spectrum:
+        """Return the spectrum with a small fixed pattern, whose power is asked from here on."""
+        return replace(self, log_pattern=self.log_noise + _FIRST_LOG_PATTERN, pattern_asked=True)
+
 
 class Learned(NamedTuple):
     """What frames say of scene and noise."""
@@ -285,16 +314,22 @@ class Learned(NamedTuple):
     power: Floats  # [frequency alias] E|X|^2 given the frames
 
 
-def first_spectrum(frequencies: Frequencies, spectra: Array, steering: Steering) -> Spectrum:
-    """Return the likeliest power law, from a usual one that has the power of the frames."""
+def first_spectrum(
+    frequencies: Frequencies, spectra: Array, steering: Steering, log_pattern: float = -np.inf
+) -> Spectrum:
+    """Return the likeliest power law beside a pattern, from one with the power of the frames."""
     none = np.zeros(frequencies.sets)
-    start = Spectrum(frequencies, none, none + 1.5, none, np.ones_like(frequencies.down))
+    start = Spectrum(frequencies, none, none + 1.5, none, none, np.ones_like(frequencies.down))
     of_set = frequencies.of_set
     level = of_set @ np.sum(np.abs(spectra) ** 2, axis=1) / spectra.shape[1]
     level = np.maximum(level, 1e-30)
     of_law = of_set @ start.power.sum(axis=1)
     mean = level / of_set.sum(axis=1)
-    found = replace(start, log_level=np.log(level / of_law), log_noise=np.log(1e-3 * mean))
+    log_noise = np.log(1e-3 * mean)
+    found = replace(
+        start, log_level=np.log(level / of_law), log_noise=log_noise,
+        log_pattern=log_pattern + none, most_pattern=np.log(_MOST_PATTERN * mean),
+    )  # fmt: skip
     for _ in range(_PASSES):
         found, step, *_ = found.learned(spectra, steering, whole=True)
         if step < _SMALL_STEP:
