@@ -5,15 +5,19 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from pixel_camera import SQUARE_PX, Array, edge_scene, make_burst, photograph
 
 from lensshift import QualityWarning, reconstruct
+from lensshift.core.types import Estimate, Status
 from lensshift.forward.blur import GaussianBlur
 from lensshift.forward.model import forward_model
-from lensshift.reconstruction.photometry import estimate_photometry
+from lensshift.reconstruction.method import Request
+from lensshift.reconstruction.misfit import ESTIMATED
+from lensshift.reconstruction.photometry import estimate_photometry, in_one_light
 from lensshift.reconstruction.problem import Problem
 
 SHAPE = (20, 24)
@@ -88,6 +92,16 @@ def test_nobody_is_told_to_estimate_brightness_that_was_estimated() -> None:
     y += 0.003 * rng.standard_normal(y.shape)
     with pytest.warns(QualityWarning, match="differ in brightness.*found for each frame do not"):
         reconstruct(make_burst(y), channel="amplitude", photometric=True, psf_sigma_px=0.3)
+
+
+def test_what_is_allowed_for_is_light_and_not_what_is_said_before() -> None:
+    burst = make_burst(_frames())
+    lit = f"the frames differ in brightness by 2.2 times what they differ by otherwise: {ESTIMATED}"
+    shook = "frame 0 is less sharp than the others, by (+0.5, +0.6) px: the picture allows for it"
+    even = Estimate(np.ones((40, 48)), (), Status.COMPLETE)
+    found = replace(even, notes={"contradiction": f"{shook}; and {lit}"})
+    with pytest.warns(QualityWarning, match=r"^the frames differ in brightness by 2\.2 times"):
+        assert in_one_light(found, burst.amplitude, burst, Request(), lambda: even) is even
 
 
 def test_equal_frames_keep_gain_one_and_bias_zero(A) -> None:

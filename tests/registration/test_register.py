@@ -454,6 +454,25 @@ def test_what_moves_and_what_is_noise_is_no_light() -> None:
     )
 
 
+def test_a_slope_that_lies_elsewhere_is_no_light() -> None:
+    """Nor does a known shift pass for light; light is seen beside any shift where there is more."""
+    row, col = np.meshgrid(np.arange(36.0), np.arange(44.0), indexing="ij")
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        shifts = rng.uniform(-1, 1, (6, 2))[:, :, None, None]
+        wall = 1 + (row - shifts[:, 0]) / 100 + (col - shifts[:, 1]) / 300
+        y = wall + 0.002 * rng.standard_normal(wall.shape)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", QualityWarning)
+            register(burst_of(y))
+        assert not any("the light of" in str(one.message) for one in caught)
+        drifts = 1.02 ** np.arange(6)[:, None, None]
+        assert gains_of_light(drifts * y, shifts[..., 0, 0]) is not None
+        bright = y + waves(shifts[..., 0, 0], y.shape[1:])
+        assert gains_of_light(bright, shifts[..., 0, 0], 2.0) is None
+        assert gains_of_light(drifts * bright, shifts[..., 0, 0], 2.0) is not None
+
+
 @pytest.mark.parametrize("frames", [[0, 9], [-1, 0, 1], [1, 1, 2]])
 def test_frames_that_are_not_there_are_refused(frames: list[int]) -> None:
     with pytest.raises(ValueError, match="expected frames from 0 to 4, each once"):

@@ -273,13 +273,15 @@ def in_one_light(
         return found
     differ, said = unequal_brightness(frames, burst.valid), found.notes.get("contradiction", "")
     if said and frames.dtype.kind != "c":
-        drift = light_said(gains_of_light(filled(frames, burst.valid), burst.offset_px))
+        known_px = 0.0 if burst.offset_sigma_px is None else burst.offset_sigma_px
+        drift = light_said(gains_of_light(filled(frames, burst.valid), burst.offset_px, known_px))
         if not (drift or differ or ESTIMATED in said):
             return found
         again = allowing()
         if drift or not again.notes.get("contradiction"):
             how = drift or "the frames differ in brightness"
-            how = said.partition(":")[0] if ESTIMATED in said else how
+            how = next((one for one in said.split("; and ") if ESTIMATED in one), how)
+            how = how.partition(":")[0]
             done = "the picture allows for it, by a gain and a bias of each frame (in its notes)"
             differ, found = f"{how}: {done}", again
     if differ:
