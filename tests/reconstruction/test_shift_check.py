@@ -357,6 +357,19 @@ def test_noise_alone_doubts_nothing(offset_px: Array, seed: int) -> None:
     assert doubtful_shifts(y, offset_px) is None
 
 
+def test_a_wall_that_fades_did_move() -> None:
+    """Without their means all frames of a slope look as if they lay at one place."""
+    row, col = np.meshgrid(np.arange(36.0), np.arange(44.0), indexing="ij")
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        shifts = rng.uniform(-0.8, 0.8, (6, 2))
+        down, right = shifts.T[:, :, None, None]
+        wall = 1 + (row - down) / 200 + (col - right) / 80
+        y = wall + 0.002 * rng.standard_normal(wall.shape)
+        y *= rng.uniform(0.97, 0.998) ** np.arange(6)[:, None, None]
+        assert doubtful_shifts(y, shifts) is None
+
+
 def test_gain_outliers_and_dead_pixels_are_no_wrong_shifts() -> None:
     y = _frames(edge_scene, SQUARE_PX, SIGMA)
     rng = np.random.default_rng(1)

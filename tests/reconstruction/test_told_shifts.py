@@ -138,3 +138,14 @@ def test_light_that_mixes_to_nothing_mends_no_shift(reference_dir: Path, channel
         warnings.simplefilter("error")
         found = reconstruct(burst, channel=channel, std=False)
     assert "corrected_offset_px" not in found.settings
+
+
+@pytest.mark.parametrize(("sigma_px", "likely"), [(0.01, "their sign"), (2.0, "shifts that the")])
+def test_shifts_that_the_frames_hardly_told_have_no_wrong_sign(
+    sigma_px: float, likely: str
+) -> None:
+    burst = _burst(NINE_PX, 0.0, 1)
+    known_px = np.full(NINE_PX.shape, sigma_px)
+    found = replace(burst, offset_px=-NINE_PX, offset_sigma_px=known_px, offset_source="registered")
+    with pytest.warns(QualityWarning, match=f"contradict offset_px: .*; likely {likely}"):
+        reconstruct(found, psf_sigma_px=0.3, std=False)

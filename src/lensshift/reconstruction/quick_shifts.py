@@ -79,6 +79,17 @@ def _without_wave(values: Array, seen: Mask) -> Array | None:
     return np.asarray(values - np.tensordot(size, basis, 1) * seen)
 
 
+def alike_in_light(values: Array, seen: Mask, smooth: Array, offset_px: Shifts) -> Array:
+    """Return the frames [frame row col] without gain and bias, in units of their spread.
+
+    As they are where the shifts bring them onto each other: what a slope gains by its shift is no
+    light, and a frame without it would not seem to have moved.
+    """
+    there = _moved(smooth, offset_px)[INNER]
+    level, spread = (of(there, axis=(1, 2), keepdims=True) for of in (np.mean, np.std))
+    return np.asarray(np.where(seen, (values - level) / np.maximum(spread, 1e-300), 0.0))
+
+
 def found_shifts(smooth: Array, given_px: Shifts) -> Shifts:
     """Return the shifts [frame 2] about their mean as the frames tell them.
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lensshift.core.arrays import Array, Mask, Shifts
+from lensshift.core.arrays import Array, Shifts
 from lensshift.core.errors import warn_quality
 from lensshift.reconstruction.glance import FAR_PX, Glance
 from lensshift.reconstruction.held_out import (
@@ -24,6 +24,7 @@ from lensshift.reconstruction.held_out import (
     least_sure,
 )
 from lensshift.reconstruction.quick_shifts import (
+    alike_in_light,
     found_shifts,
     found_turns,
     found_variance_px2,
@@ -66,10 +67,12 @@ CURES: Mapping[str, str] = {
     "shifts that were not told": "let `lensshift.register` find offset_px: the frames lie apart",
     "the order of the frames": "bring the frames into the order of offset_px",
     "frames that turn": "let `lensshift.register` find shifts and turns",
+    "shifts that the frames hardly tell": "give the planned offset_px, or take a scene with edges",
     "no simple mistake": "check offset_px, or let `lensshift.register` find it",
 }
 OTHER_UNIT, NO_MISTAKE = "their unit", "no simple mistake"
 STILL, TURNING = "shifts that did not happen", "frames that turn"
+HARDLY_TOLD = "shifts that the frames hardly tell"
 # Readings that follow from where the frames seem to lie are always near that.
 FROM_FRAMES = (OTHER_UNIT, NO_MISTAKE, "shifts that were not told", "the order of the frames")
 
@@ -144,9 +147,9 @@ def doubtful_shifts(look: Glance, scale: int) -> Doubt | None:
     first = _doubt([trial], smooth, found, scale) or (None if upright else _turn(trial, smooth))
     if first is None:
         return None
-    # Other brightness of a frame looks like a shift of an edge; without it, slow slopes show none.
-    # But it puts all frames where a mistake has them by chance alone.
-    alike = look.values if first.told else _alike(look.values, seen)
+    # Other brightness of a frame looks like a shift of an edge or of a slope; without it, slow
+    # slopes show none. But it puts all frames where a mistake has them by chance alone.
+    alike = look.values if first.told else alike_in_light(look.values, seen, smooth, given)
     left = without_lone_waves(alike, seen)
     told: Doubt | None = first if first.told else None
     for values in (left,) if first.told else (alike, left):
@@ -291,13 +294,3 @@ def _by_a_factor(given_px: Shifts, found_px: Shifts, scale: int) -> list[tuple[s
 def _factor(given_px: Shifts, other_px: Shifts) -> float:
     """Return how many times as large as the given shifts others are."""
     return float(np.sum(given_px * other_px)) / max(float(np.sum(given_px**2)), 1e-300)
-
-
-def _alike(values: Array, seen: Mask) -> Array:
-    """Return the frames about their means, in units of their spread: no gain, no bias."""
-    share = np.maximum(seen.mean(axis=(1, 2), keepdims=True), 1e-12)
-    about = np.where(
-        seen, values - np.where(seen, values, 0.0).mean((1, 2), keepdims=True) / share, 0.0
-    )
-    spread = np.sqrt((np.abs(about) ** 2).mean(axis=(1, 2), keepdims=True) / share)
-    return np.asarray(about / np.maximum(spread, 1e-300))

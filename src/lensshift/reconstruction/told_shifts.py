@@ -20,6 +20,7 @@ from lensshift.reconstruction.phasor.rounding import differ_by_rounding
 from lensshift.reconstruction.pixel_response import averaged
 from lensshift.reconstruction.quick_shifts import found_variance_px2
 from lensshift.reconstruction.shift_check import (
+    HARDLY_TOLD,
     STILL,
     TURNING,
     Doubt,
@@ -80,6 +81,8 @@ def held_against_frames(
         if said:
             told, request = Told(burst, part, settings=said), replace(request, still_std=left)
             look, doubt = _looked_at(part, shift_field, scale)
+    if doubt is not None and doubt.named and doubt.mistake != TURNING and _hardly_found(part):
+        doubt = replace(doubt, mistake=HARDLY_TOLD)
     told = replace(told, doubt=doubt)
     if doubt is not None and doubt.named:
         warn_of_doubt(doubt, stacklevel=3)
@@ -88,6 +91,12 @@ def held_against_frames(
     if look is None or not mend or not _in_question(part, look):
         return told, request
     return _mended(told, look, request), request
+
+
+def _hardly_found(part: Burst) -> bool:
+    """Return whether the frames told too little of the shifts that were found from them."""
+    known_px = part.offset_sigma_px
+    return part.offset_source == "registered" and known_px is not None and known_px.max() > SAID_PX
 
 
 def _stays(doubt: Doubt | None) -> bool:
