@@ -73,7 +73,11 @@ def pattern_power(frames: Array, valid: Mask, offset_px: Floats) -> PatternPower
     valid : [frame row col]
     offset_px : [frame 2]
     """
-    chosen = _some_frames(offset_px, valid)
+    chosen = np.flatnonzero(valid.any(axis=(1, 2)))
+    away_px = np.abs(offset_px[chosen] - np.median(offset_px[chosen], axis=0)).max(axis=1)
+    chosen = chosen[away_px < MOST_APART_PX / 2]  # near enough to each other to be compared
+    evenly = np.linspace(0, len(chosen) - 1, min(len(chosen), MOST_FRAMES))
+    chosen = chosen[np.unique(evenly.round().astype(int))]
     if len(chosen) < LEAST_FRAMES or min(frames.shape[1:]) < LEAST_PX:
         return None
     rows, cols = (slice((n - min(n, MOST_PX)) // 2, (n + min(n, MOST_PX)) // 2)
@@ -121,15 +125,6 @@ def _sure(R: Floats, found: Floats, others: Floats) -> float:
     if (most := over(linear)) < SURE:  # most bursts; what is 0 may be more without a part
         return most
     return over(np.stack([nnls(R, one)[0] for one in others.T], axis=-1))
-
-
-def _some_frames(offset_px: Floats, valid: Mask) -> Array:
-    """Return the numbers of frames that lie near enough to each other to be compared."""
-    number = np.flatnonzero(valid.any(axis=(1, 2)))
-    away_px = np.abs(offset_px[number] - np.median(offset_px[number], axis=0)).max(axis=1)
-    number = number[away_px < MOST_APART_PX / 2]
-    picked = np.linspace(0, len(number) - 1, min(len(number), MOST_FRAMES))
-    return np.asarray(number[np.unique(picked.round().astype(int))])
 
 
 def _covariances(frames: Array, valid: Mask) -> tuple[Floats, Floats]:

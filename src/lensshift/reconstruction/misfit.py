@@ -99,9 +99,8 @@ class Misfit:
     @property
     def curable(self) -> bool:
         """Whether a frame shows another scene somewhere, and most lie where they should."""
-        if self.lit or self.shifts_wrong:
-            return False
-        return bool(self.off_px or self.doubt.max(initial=0.0) > 1.0)
+        in_places = bool(self.off_px or self.doubt.max(initial=0.0) > 1.0)
+        return in_places and not (self.lit or self.shifts_wrong)
 
     @property
     def contradicts(self) -> bool:

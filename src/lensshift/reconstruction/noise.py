@@ -176,7 +176,9 @@ def light_of(y: Array, used: Mask) -> Array:
     dark beside the bright. Thin poles keep theirs.
     """
     y = (np.abs(y) if y.dtype.kind == "c" else y).astype(np.float32)
-    places = [(axis, _moved_by(step, y.shape[axis])) for axis in (1, 2) for step in (-1, 1)]
+    on = [np.arange(size) for size in y.shape]  # pixels at an end have themselves beside them
+    steps = [(axis, step) for axis in (1, 2) for step in (-1, 1)]
+    places = [(axis, np.clip(on[axis] + step, 0, on[axis][-1])) for axis, step in steps]
     parts = [y.take(at, axis) for axis, at in places]
     if not used.all():
         parts = [np.where(used.take(at, axis), one, y)
@@ -186,11 +188,6 @@ def light_of(y: Array, used: Mask) -> Array:
     low = np.maximum(np.minimum(a, b), np.minimum(c, d))
     high = np.minimum(np.maximum(a, b), np.maximum(c, d))
     return np.clip(y, np.minimum(low, high), np.maximum(low, high))
-
-
-def _moved_by(step: int, size: int) -> Array:
-    """Return numbers of pixels a step on; those at the end have themselves beside them."""
-    return np.clip(np.arange(size) + step, 0, size - 1)
 
 
 def _spread(values: Array) -> float:

@@ -215,13 +215,14 @@ def make_problem(
     stray_light = StrayLight.told(burst.meta.get("stray_light")) if even_noise else None
     if stray_light is not None:
         y = np.where(used, stray_light.removed(y), 0.0)
+    spot_px2 = 0.0 if model.spot_px2 is None else float(model.spot_px2[..., :2].mean())
     return Problem(
         y=y,
         weight=weight,
         model=model,
         intensity=unit,
         level=level,
-        blur_sigma_px=_mean_width_px(model),
+        blur_sigma_px=math.sqrt(max(blur_width_px(model.blur) ** 2 + spot_px2, 0.0)),
         noise_sigma=None if noise_sigma is None else noise_sigma / unit,
         shift_error_px=_own_error_px(burst.offset_sigma_px, burst.frame_count),
         even_noise=even_noise,
@@ -269,12 +270,6 @@ def blur_width_px(blur: Blur) -> float:
     if isinstance(blur, GaussianBlur):
         return blur.sigma_px
     raise TypeError(f"expected GaussianBlur or ApertureBlur, got {type(blur).__name__}")
-
-
-def _mean_width_px(model: ForwardModel) -> float:
-    """Return the width of the response, of one that varies the root mean square."""
-    spot_px2 = 0.0 if model.spot_px2 is None else float(model.spot_px2[..., :2].mean())
-    return math.sqrt(max(blur_width_px(model.blur) ** 2 + spot_px2, 0.0))
 
 
 def square_pixel(blur: Blur) -> Blur:

@@ -104,9 +104,8 @@ def _stays(doubt: Doubt | None) -> bool:
 
     A strong pattern may predict pixels better where they are, but not pass for all of the scene.
     """
-    if doubt is None or doubt.mistake not in (STILL, TURNING):
-        return False
-    return doubt.told or doubt.mistake == TURNING
+    mistake = None if doubt is None else (doubt.mistake, doubt.told)
+    return mistake in ((STILL, True), (TURNING, True), (TURNING, False))
 
 
 def _looked_at(

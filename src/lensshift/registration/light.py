@@ -9,6 +9,7 @@ from scipy.ndimage import shift
 
 from lensshift.core.arrays import Array, Floats, Shifts
 from lensshift.core.errors import warn_quality
+from lensshift.core.gaussian import MAD_TO_SIGMA
 from lensshift.registration.likelihood import USUAL_SHIFT_PX
 from lensshift.registration.robust_fit import HUBER_SIGMAS
 
@@ -17,7 +18,7 @@ _DARK = 0.2  # of the light of most blocks: below, a ratio is noise
 _ROUNDING = 1e-9
 _PASSES = 8  # of reweighting
 _SURE = 3.0  # how far gains are off on average, in standard errors of each
-_OF_NORMAL, _OF_MEDIAN = 1.4826, 1.2533  # sigma over a median deviation; error of a median over it
+_OF_MEDIAN = 1.2533  # error of a median over that of a mean
 
 
 def light_allowed_for(
@@ -96,16 +97,14 @@ def gains_of_light(
 def _gain(ratio: Floats, slopes: Floats, sigma_px: Floats) -> tuple[float, float]:
     """Return the median of ratios [block] beside what a shift explains, and its standard error."""
     design = np.column_stack([np.ones(len(ratio)), slopes * sigma_px])  # e in units of sigma
-    rest, beside, weight = ratio - np.median(ratio), ratio, np.ones(len(ratio))
+    rest = ratio - np.median(ratio)
     for _ in range(_PASSES):
-        spread = max(_OF_NORMAL * float(np.median(np.abs(rest))), _ROUNDING)
+        spread = max(MAD_TO_SIGMA * float(np.median(np.abs(rest))), _ROUNDING)
         weight = np.minimum(1.0, HUBER_SIGMAS * spread / np.maximum(np.abs(rest), _ROUNDING))
         normal = (weight[:, None] * design).T @ design + spread**2 * np.diag([0.0, 1.0, 1.0])
         found = np.linalg.solve(normal, design.T @ (weight * ratio))
         beside = ratio - design[:, 1:] @ found[1:]
         rest = beside - np.median(beside)
-    spread = _OF_NORMAL * float(np.median(np.abs(rest)))
-    normal = design.T @ design + max(spread, _ROUNDING) ** 2 * np.diag([0.0, 1.0, 1.0])
     error = _OF_MEDIAN * spread * float(np.linalg.inv(normal)[0, 0]) ** 0.5
     return float(np.median(beside)), error
 

@@ -129,7 +129,8 @@ def register(
             fit = _widened(run, images, valid, fit)
         else:
             fit, affine, factor = _checked(fit, images, whole, valid, motion, reference, own_light)
-            told_px = _errors_of_differences(burst, reference) if use_given else None
+            told_px = burst.offset_sigma_px if use_given else None
+            told_px = None if told_px is None else np.hypot(told_px, told_px[reference])
             fit = with_given(fit, given_px, told_px, said=known)
     alone = method == "phase" or not known
     rivals_px = rival_shifts(whole, fit.offset_px, reference) if alone else np.zeros_like(given_px)
@@ -316,12 +317,6 @@ def _from_best_start(
         return run(frames, valid, phase_px)
     first, second = run(frames, valid, given_px), run(frames, valid, phase_px)
     return second if second.noise_sigma < _CLEARLY_BETTER * first.noise_sigma else first
-
-
-def _errors_of_differences(burst: Burst, reference: int) -> Shifts | None:
-    """Return what errors the burst says that its offsets to one frame have."""
-    told = burst.offset_sigma_px
-    return None if told is None else np.hypot(told, told[reference])
 
 
 def _alike(frames: Array, fit: ShiftFit, photometric: bool) -> Array:

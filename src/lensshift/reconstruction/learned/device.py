@@ -72,7 +72,8 @@ class DeviceKernels:
         """Return the channels [burst row col out] of a network for parts [burst row col ...]."""
         x = self.xp.concat([part.reshape(*part.shape[:3], -1) for part in seen], 3)
         layers = _layers(self, network, tuple(facts.tolist()))
-        x = self._convolved(_repeated(self.xp, x), layers[0])
+        x = self.xp.concat([x[:, :1], x, x[:, -1:]], 1)  # the border is repeated once
+        x = self._convolved(self.xp.concat([x[:, :, :1], x, x[:, :, -1:]], 2), layers[0])
         for weight in layers[1:]:
             bursts, rows, cols, channels = x.shape
             wide = self._zeros(bursts, rows + 2, cols + 2, channels)
@@ -151,12 +152,6 @@ def _layers(on: DeviceKernels, network: Network, facts: tuple[float, ...]) -> li
             taps = taps * gains[number - 1][:, None]
         layers.append(on.there(np.array(taps.reshape(3, -1, weight.shape[1]), np.float32)))
     return layers
-
-
-def _repeated(xp: Any, x: Array) -> Array:
-    """Return x [burst row col channel] with its border repeated once."""
-    x = xp.concat([x[:, :1], x, x[:, -1:]], 1)
-    return xp.concat([x[:, :, :1], x, x[:, :, -1:]], 2)
 
 
 def _of_shifts(

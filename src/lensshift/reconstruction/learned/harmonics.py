@@ -44,17 +44,13 @@ def as_bars(image: Array, std: Floats, blur_px: float, scale: int) -> Floats:
         lacking.append(idctn(hidden * waves, norm="ortho", overwrite_x=True))
         drawn.append(idctn(shown * waves, norm="ortho", overwrite_x=True))
     if len(parts) == 2:
-        lacking, drawn = (_along_and_across(two, image) for two in (lacking, drawn))
+        turn = np.exp(-1j * np.angle(image))  # along and across the picture
+        turned = ((one + 1j * other) * turn for one, other in (lacking, drawn))
+        lacking, drawn = ([z.real, z.imag] for z in turned)
     power = np.square(lacking) - np.square(drawn)
     reach = (0.0, HALF_PERIOD_PX * scale, HALF_PERIOD_PX * scale)
     power = gaussian_filter(power, reach, mode="reflect").reshape(std.shape)
     return np.asarray(np.sqrt(np.maximum(std**2, power)))
-
-
-def _along_and_across(parts: list[Array], image: Array) -> list[Array]:
-    """Return two parts of a complex picture turned by another."""
-    turned = (parts[0] + 1j * parts[1]) * np.exp(-1j * np.angle(image))
-    return [turned.real, turned.imag]
 
 
 @lru_cache(maxsize=4)

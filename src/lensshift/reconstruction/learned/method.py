@@ -117,7 +117,9 @@ def solved(problem: Problem, noise: Floats, request: Request) -> tuple[Estimate,
         # A distance where two surfaces mix is no mean of theirs: static scenes seem to contradict.
         wrong = None
     if request.refuted is None and misfit.curable and not request.shifts_doubted:
-        weighed = _weighed(noise, misfit.weight(of_phasors=asked.of_phasors))
+        trust = misfit.weight(of_phasors=asked.of_phasors)
+        less_sure = noise / np.sqrt(np.maximum(trust, LEAST_WEIGHT))
+        weighed = np.where(trust > LEAST_WEIGHT, less_sure, np.inf)
         found, left = run(replace(asked, sigma=weighed))
     if asked.of_phasors:
         believed = replace(asked, sigma=weighed, on_stage=None)
@@ -155,12 +157,6 @@ def _on_finer_grid(problem: Problem, noise: Floats, request: Request) -> Problem
     asked = _asked(problem, with_shift_errors(noise, problem))
     wanted = seen_finer(asked, partial(_picture, request=request)) is not None
     return replace(problem, model=model) if wanted else None
-
-
-def _weighed(noise: Floats, believed: Floats) -> Floats:
-    """Return the noise of pixels of which so much is believed, infinite of those left out."""
-    least = np.maximum(believed, LEAST_WEIGHT)
-    return np.where(believed > LEAST_WEIGHT, noise / np.sqrt(least), np.inf)
 
 
 def _refuted_by(misfit: Misfit, shaken: dict[int, Array], names: Sequence[int]) -> str | None:

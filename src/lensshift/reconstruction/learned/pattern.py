@@ -69,7 +69,9 @@ def without_pattern(
 def _taken_off(part: Burst, scale: int, variance: float) -> tuple[Floats, float]:
     """Return the pattern [row col] as far as the frames tell it, and the variance of its rest."""
     pattern, left = np.zeros(part.grid.shape), variance
-    seen_by = _frames_at_a_pixel(part.offset_px)
+    apart_px = np.abs(part.offset_px[:, None] - part.offset_px)
+    # So many frames see a place by one pixel, on average, and share its error.
+    seen_by = float(np.clip(1.0 - apart_px, 0.0, None).prod(axis=-1).sum(axis=1).mean())
     for _ in range(MOST_STEPS):
         rest, noise = _unexplained(_less(part, pattern), scale, seen_by * left)
         least = variance * noise / (variance + noise)
@@ -101,12 +103,6 @@ def _unexplained(part: Burst, scale: int, extra: float) -> tuple[Floats, float]:
     rest = np.sum(weight * (problem.y - A.forward(single(found.image))), axis=0)
     count = np.maximum(weight.sum(axis=0), 1.0)
     return unit * rest / count, float((unit * law.sigma) ** 2 / np.median(count))
-
-
-def _frames_at_a_pixel(offset_px: Floats) -> float:
-    """Return how many frames see a place by one pixel, on average: they share its error."""
-    apart = np.abs(offset_px[:, None] - offset_px)
-    return float(np.clip(1.0 - apart, 0.0, None).prod(axis=-1).sum(axis=1).mean())
 
 
 def _less(burst: Burst, pattern: Floats) -> Burst:

@@ -142,7 +142,10 @@ def polar_frames(burst: Burst) -> PolarFrames:
             return _from_complex(phasor, modulation_hz)
         scale = PhaseScale(modulation_hz, median(seen_m), False, "burst")
     else:
-        scale = _spread_over_half_a_turn(seen_m)
+        reference_m = median(seen_m)
+        span_m = float(np.ptp(seen_m)) or abs(reference_m) or 1.0  # half a turn
+        half_turn_hz = SPEED_OF_LIGHT_MPS / (4.0 * span_m)
+        scale = PhaseScale(half_turn_hz, reference_m, False, "range of the distances")
     phase_rad = np.where(valid, (distance_m - scale.reference_m) * scale.rad_per_m, 0.0)
     return PolarFrames(amplitude, phase_rad, scale)
 
@@ -155,11 +158,3 @@ def _from_complex(phasor: Array, modulation_hz: float | None) -> PolarFrames:
     turned = phasor * np.exp(-1j * np.angle(middle))
     scale = PhaseScale(modulation_hz, reference_m, True, "burst")
     return PolarFrames(np.abs(turned), np.angle(turned), scale)
-
-
-def _spread_over_half_a_turn(seen_m: Array) -> PhaseScale:
-    """Return the scale at which the distances of a burst make half a turn."""
-    reference_m = median(seen_m)
-    span_m = float(np.ptp(seen_m)) or abs(reference_m) or 1.0
-    modulation_hz = SPEED_OF_LIGHT_MPS / (4.0 * span_m)
-    return PhaseScale(modulation_hz, reference_m, False, "range of the distances")
