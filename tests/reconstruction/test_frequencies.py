@@ -518,7 +518,7 @@ def test_what_one_frequency_contradicts_is_told(moved: int) -> None:
 
 @pytest.mark.parametrize("several", [False, True])
 @pytest.mark.parametrize("gain", [1.2, 2.0])
-def test_exposures_of_phasors_have_a_cure_that_works(gain: float, several: bool) -> None:
+def test_exposures_of_phasors_are_allowed_for(gain: float, several: bool) -> None:
     """Photometric estimation is of real frames: it was the advice, and an error."""
     rng, (row, col) = np.random.default_rng(0), np.mgrid[:16, :24]
     distance_m = np.where(abs(col - 12) < 5, 2.0, 4.0) * np.ones((4, 1, 1))
@@ -536,6 +536,5 @@ def test_exposures_of_phasors_have_a_cure_that_works(gain: float, several: bool)
 
     assert said(z) == ""
     told = said(z * exposure)
-    assert "ivide" in told
-    assert "exposure" in told
-    assert several or "photometric" not in told
+    assert "allows for it" in told
+    assert "; " not in told

@@ -22,6 +22,7 @@ from lensshift.core.units import (
 from lensshift.reconstruction.phasor import PhasorFrames, flying_pixels, phasor_from_phases
 from lensshift.reconstruction.phasor.channel import NO_PHASE_RAD
 from lensshift.reconstruction.phasor.frames import polar_frames
+from lensshift.reconstruction.photometry import lights
 
 Array = NDArray[Any]
 
@@ -441,12 +442,50 @@ def test_phasor_case_of_the_reference_data(reference_dir: Path) -> None:
     assert np.median(np.abs(error_m)) < 0.002
 
 
-def test_frames_of_another_brightness_raise_a_warning() -> None:
-    """Phasors that contradict each other were averaged without a word."""
-    burst = card_burst(0.004)
-    gain = np.array([1.0, 1.3, 1.0, 0.7])[:, None, None]
-    with pytest.warns(QualityWarning, match="brightness"):
-        reconstruct(replace(burst, amplitude=gain * burst.amplitude), std=False)
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("kind", ["polar", "complex", "frequencies"])
+def test_light_that_differs_between_frames_is_allowed_for_and_said(kind: str, seed: int) -> None:
+    """It passed for movement, took turns of phases with it, or was averaged."""
+    even = card_burst(0.004)
+    z, rng = polar_frames(even).phasor, np.random.default_rng(seed)
+    gain = rng.uniform(0.6, 1.4, 4)
+    if kind == "complex":
+        even = Burst.from_arrays(z, offset_px=OFFSETS, pitch_mm=0.1, modulation_hz=F_HZ)
+    if kind == "frequencies":
+        both = np.stack([z, z**2 / np.abs(z)])
+        even = Burst.from_arrays(
+            both, offset_px=OFFSETS, pitch_mm=0.1, modulation_hz=(F_HZ, 2 * F_HZ)
+        )
+    each = gain[:, None, None]
+    phasors = None if even.phasors is None else even.phasors * each
+    uneven = replace(even, amplitude=even.amplitude * each, phasors=phasors)
+    with pytest.warns(QualityWarning) as said:
+        found = reconstruct(uneven)
+    assert [one.filename for one in said] == [__file__]
+    dark, bright = np.argmin(gain), np.argmax(gain)
+    text = str(said[0].message)
+    assert f"that of frame {bright} is " in text
+    assert f"that of frame {dark}: " in text
+    assert "allows for it" in text
+    other, usual = reconstruct(even), np.median(gain)
+    np.testing.assert_allclose(found["amplitude"].notes["gain"], gain / usual, rtol=0.01)
+    light, far_m = images(found)
+    np.testing.assert_allclose(light, usual * images(other)[0], atol=0.02 * light.max())
+    apart_m = np.abs(far_m - images(other)[1])
+    assert np.mean(apart_m < np.asarray(other["distance"].std)) > 0.98
+    predicted = found["amplitude"].predict(int(bright))
+    assert np.median(predicted / np.abs(uneven.amplitude[bright])) == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(20, 30))
+def test_a_dark_thing_before_half_of_the_picture_is_no_other_light(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    noise = rng.standard_normal((2, 4, *SHAPE))
+    z = (0.5 + 0.5 * rng.random(SHAPE)) * np.exp(1j) + 0.01 * (noise[0] + 1j * noise[1])
+    thing = rng.uniform(0.1, 0.4) * np.exp(1j * rng.uniform(0, 6))
+    z[2:, :, :9] = thing * (1 + 0.02 * rng.standard_normal((2, 13, 9)))
+    moved = Burst.from_arrays(z, offset_px=OFFSETS, pitch_mm=0.1, modulation_hz=F_HZ)
+    assert np.all(lights(moved, 0) == 1)
 
 
 @pytest.mark.parametrize("shape", [(1, 30), (30, 1)])

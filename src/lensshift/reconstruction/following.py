@@ -293,11 +293,10 @@ def _as_phasors(found: Reconstruction) -> tuple[Estimate, Estimate, PhaseScale] 
 
 def _phasor_of(frame: Frame, scale: PhaseScale) -> Array | None:
     """Return the phasors [row col] of a frame, turned as those of the picture are."""
-    away_m: Any = -scale.reference_m
-    if not np.iscomplexobj(frame.amplitude):
-        if frame.distance_m is None:
-            return None
-        away_m = np.where(frame.valid, frame.distance_m, 0.0) - scale.reference_m
+    far_m = 0.0 if np.iscomplexobj(frame.amplitude) else frame.distance_m
+    if far_m is None:
+        return None
+    away_m = np.where(frame.valid, far_m, 0.0) - scale.reference_m
     z = np.where(frame.valid, frame.amplitude, 0)
     return np.asarray(z * np.exp(1j * scale.rad_per_m * away_m))
 

@@ -49,10 +49,6 @@ class Fit:
     picture: Callable[[ForwardModel, Array, Array, float], Array]
 
 
-def _smooth(model: ForwardModel, y: Array, weight: Array, noise: float) -> Array:
-    return smooth_fit(model.operator, y, weight, STIFFNESS, ITERATIONS)
-
-
 def _solved(model: ForwardModel, y: Array, weight: Array, noise: float) -> Array:
     """Return the picture of the learned solver, of phasors that of either part."""
     parts, turn = [y], 1.0 + 0.0j
@@ -66,7 +62,7 @@ def _solved(model: ForwardModel, y: Array, weight: Array, noise: float) -> Array
     return images[0] if len(images) == 1 else turn * (images[0] + 1j * images[1])
 
 
-SMOOTH = Fit(BLUR_PX, _smooth)
+SMOOTH = Fit(BLUR_PX, lambda m, y, w, _: smooth_fit(m.operator, y, w, STIFFNESS, ITERATIONS))
 SOLVERS = tuple(Fit(width_px, _solved) for width_px in SQUARES_PX)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+from lensshift.core.arrays import Floats
 from lensshift.core.types import Estimate
 from lensshift.reconstruction.noise_law import NoiseLaw
 from lensshift.reconstruction.options import check_settings, option, truth, weight, whole
@@ -35,6 +36,7 @@ class Request:
     shifts_doubted : whether the shifts were found to be wrong as a whole, and the user was told
     streamed : whether a stream asks, again and again
     law : noise of the light that was read with the response, in units of the burst, or None
+    gain : [frequency frame] by which the phasors of the frames were divided, or None
     still_std : deviation of what is left of a fixed pattern of the pixels, in units of the burst
     device : where "auto" finds its pictures, or None for the kernels of this processor
     """
@@ -51,6 +53,7 @@ class Request:
     shifts_doubted: bool = False
     streamed: bool = False
     law: NoiseLaw | None = None
+    gain: Floats | None = None
     still_std: float = 0.0
     device: Device | None = None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import ESTIMATED, LIMIT
 from lensshift.reconstruction.noise import robust_scale
+from lensshift.reconstruction.phasor.frames import polar_frames
 from lensshift.reconstruction.quantiles import ENOUGH, weighted_mad, weighted_median
 from lensshift.registration.blocks import filled
 from lensshift.registration.light import gains_of_light, light_said
@@ -93,6 +94,7 @@ class _Gain:
     bright, dark, light : [pixel] y' and y, and the weight
     spread : d
     alike_px : pixels that noise makes alike
+    turn_rad : by how much the phases of phasors differ
     """
 
     gain: float
@@ -103,6 +105,7 @@ class _Gain:
     light: Array
     spread: float
     alike_px: float
+    turn_rad: float
 
     @property
     def times(self) -> float:
@@ -155,7 +158,7 @@ def _gain(now: Array, then: Array, alike_px: float = 1.0) -> _Gain | None:
         apart = np.clip((ratio * mean.conjugate()).real / gain, -2, 2) - gain
         spread = weighted_mad(apart, used) / MEDIAN_SIZE + float(np.finfo(np.float32).eps)
         used = np.where(np.abs(apart) <= MOST_SIGMAS * spread, light, 0.0)
-    return _Gain(gain, darker, apart, bright, dark, light, spread, alike_px)
+    return _Gain(gain, darker, apart, bright, dark, light, spread, alike_px, float(np.angle(mean)))
 
 
 def light_since(frame: Frame, before: Frame, noise_sigma: float = 0.0) -> float:
@@ -203,7 +206,8 @@ def lights(burst: Burst, latest: int) -> Floats:
             found.share(found.apart > of) - found.share(found.apart < -of) for of in np.abs(far)
         )
         other = max(map(abs, sides)) < 1 - LIT and not found.level
-        times[k], surely = found.times, surely or (other and not found.chance)
+        one = abs(found.turn_rad) * found.gain < far[1] < found.gain  # of all, and no phase turned
+        times[k], surely = found.times, surely or (other and one and not found.chance)
     return times if surely else np.ones(burst.frame_count)
 
 
@@ -287,6 +291,32 @@ def in_one_light(
     if differ:
         warn_quality(differ, stacklevel + 1)
     return found
+
+
+def phasors_in_one_light(
+    burst: Burst, request: Request, *, stacklevel: int
+) -> tuple[Burst, Request]:
+    """Return the burst with phasors as bright as most of them, and the request with their gains.
+
+    As they are if light does not surely differ, and else warn. Other light has no phase: no bias.
+    """
+    part = burst.select(request.frames)
+    every = polar_frames(part).phasor[None] if part.phasors is None else part.phasors
+    alone = replace(part, distance_m=None, phasors=None, modulation_hz=None)
+    most = int(np.argmax(part.valid.sum(axis=(1, 2))))
+    gain = 1 / np.stack([lights(replace(alone, amplitude=z), most) for z in every])
+    if np.all(gain == 1):
+        return burst, request
+    gain /= np.median(gain, axis=1, keepdims=True)
+    said = light_said(gain[np.argmax(np.ptp(gain, axis=1))], request.frames)
+    done = "the picture allows for it, by a gain of each frame (in its notes)"
+    warn_quality(f"{said}: {done}", stacklevel + 1)
+    each = np.ones((len(every), burst.frame_count, 1, 1))
+    each[:, list(request.frames), 0, 0] = gain
+    highest = 0 if burst.phasors is None else int(np.argmax(burst.frequencies_hz))
+    phasors = None if burst.phasors is None else burst.phasors / each
+    lit = replace(burst, amplitude=burst.amplitude / each[highest], phasors=phasors)
+    return lit, replace(request, gain=gain)
 
 
 def std_of_level(image: Floats, gain: Floats, bias: Floats) -> Floats:

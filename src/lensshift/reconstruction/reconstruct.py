@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array
-from lensshift.core.defects import colour_mosaic, unequal_brightness
+from lensshift.core.defects import colour_mosaic
 from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.lens_field import LensField
 from lensshift.core.phasors import distances_without
@@ -113,7 +113,7 @@ def reconstruct(
         phasors (of distances of several frequencies it cannot); by default what
         `burst.meta["stray_light"]` says, or none
     photometric : whether to estimate gain and bias of each frame; where frames of light surely
-        differ in brightness that is done, and said, without it
+        differ in brightness that is done, and said, without it, and of phasors their gain
     non_negative : whether negative values are forbidden
     seed : of everything random
     std : whether the propagated noise is wanted (it is computed when first asked for)
@@ -190,9 +190,6 @@ def _estimates(
 ) -> tuple[dict[str, Estimate], Array | None]:
     """Reconstruct both channels from phasors, with what flies, or each on its own."""
     if channel == "phasor":
-        differ = "" if request.streamed else unequal_brightness(part.amplitude, part.valid)
-        if differ:
-            warn_quality(differ, 3)
         both = reconstruct_phasor(burst, chosen.name, request, seen)
         return {"amplitude": both.amplitude, "distance": both.distance_m}, both.flying
     found: dict[str, Estimate] = {}

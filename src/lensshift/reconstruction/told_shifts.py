@@ -17,6 +17,7 @@ from lensshift.reconstruction.learned.pattern import without_pattern
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.phasor.choice import Choice
 from lensshift.reconstruction.phasor.rounding import differ_by_rounding
+from lensshift.reconstruction.photometry import phasors_in_one_light
 from lensshift.reconstruction.pixel_response import averaged
 from lensshift.reconstruction.quick_shifts import found_variance_px2
 from lensshift.reconstruction.shift_check import (
@@ -62,7 +63,7 @@ def held_against_frames(
 ) -> tuple[Told, Request]:
     """Return what the frames doubt of the shifts; or shifts without doubt, if the method may mend.
 
-    What stays at the pixels is taken off frames of light first, and doubts no shifts then.
+    Before, phasors are brought to one light, and what stays at the pixels is taken off frames.
 
     Warns
     -----
@@ -70,7 +71,11 @@ def held_against_frames(
         If there is a doubt that has a name, shifts were mended by more than 0.05 px (rms), or the
         pixels have a pattern.
     """
-    told, phasors = Told(burst, part), choice.channel == "phasor"
+    phasors = choice.channel == "phasor"
+    if phasors and not request.streamed:
+        burst, request = phasors_in_one_light(burst, request, stacklevel=3)
+        part = burst.select(request.frames)
+    told = Told(burst, part)
     mend = method.name == "auto" or phasors
     if not (mend or method.questions_shifts):
         return told, request

@@ -38,11 +38,8 @@ def as_bars(image: Array, std: Floats, blur_px: float, scale: int) -> Floats:
     """
     hidden, shown = _filters(image.shape, min(blur_px * 12**0.5, 1.0), scale)
     parts = [image] if image.dtype.kind == "f" else [image.real, image.imag]
-    lacking, drawn = [], []
-    for part in parts:
-        waves = dctn((part - part.mean()).astype(np.float32), norm="ortho", overwrite_x=True)
-        lacking.append(idctn(hidden * waves, norm="ortho", overwrite_x=True))
-        drawn.append(idctn(shown * waves, norm="ortho", overwrite_x=True))
+    waves = [dctn((part - part.mean()).astype(np.float32), norm="ortho") for part in parts]
+    lacking, drawn = ([idctn(of * one, norm="ortho") for one in waves] for of in (hidden, shown))
     if len(parts) == 2:
         turn = np.exp(-1j * np.angle(image))  # along and across the picture
         turned = ((one + 1j * other) * turn for one, other in (lacking, drawn))

@@ -38,7 +38,7 @@ class Reach:
         scale : HR pixels per LR pixel
         """
         around = [
-            [one[np.ix_(*_nearest(y.shape[1:], moved_px, scale))] for one in ranges]
+            [one[np.ix_(*nearest(y.shape[1:], moved_px, scale))] for one in ranges]
             for *ranges, moved_px in zip(*_range_around(np.angle(y), used), offset_px, strict=True)
         ]
         first = around[0][0]
@@ -62,12 +62,13 @@ class Reach:
         return phase_rad - beyond, np.hypot(std_rad, beyond)
 
 
-def _nearest(shape: tuple[int, ...], moved_px: Array, scale: int) -> list[Array]:
-    """Return the rows and columns of a frame that are nearest to those of the HR grid."""
-    return [
-        np.rint((np.arange(scale * n) + 0.5) / scale - 0.5 + move).astype(int).clip(0, n - 1)
-        for n, move in zip(shape, moved_px, strict=True)
-    ]
+def nearest(
+    shape: tuple[int, ...], moved_px: Array, scale: int, beside: tuple[int, int] = (0, 0)
+) -> list[Array]:
+    """Return the rows and columns of a frame that are nearest to those of the HR grid, or next."""
+    starts = [(np.arange(scale * n) + 0.5) / scale - 0.5 for n in shape]
+    at = zip(starts, moved_px, beside, shape, strict=True)
+    return [np.clip(np.rint(u + by).astype(int) + step, 0, n - 1) for u, by, step, n in at]
 
 
 def _range_around(phase_rad: Array, seen: Mask) -> tuple[Array, Array]:

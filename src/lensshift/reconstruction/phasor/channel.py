@@ -34,6 +34,7 @@ from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, doubt_about_phases
 from lensshift.reconstruction.phasor.rounding import Steps
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
+from lensshift.reconstruction.photometry import std_of_level
 from lensshift.reconstruction.problem import Problem, blur_width_px, make_problem, predictor
 
 METHODS = ("auto", "tikhonov", "tv")
@@ -85,9 +86,11 @@ def reconstruct_phasor(
     if burst.phasors is None:
         return _one_frequency(burst, method, request, seen)
     each = []
-    for z, hz in zip(burst.phasors, burst.frequencies_hz, strict=True):
+    gains = [None] * len(burst.phasors) if request.gain is None else request.gain[:, None]
+    for z, hz, gain in zip(burst.phasors, burst.frequencies_hz, gains, strict=True):
         one = replace(burst, amplitude=z, modulation_hz=hz, distance_m=None, phasors=None)
-        each.append(_one_frequency(one, method, replace(request, std=True, law=None), seen))
+        alone = replace(request, std=True, law=None, gain=gain)
+        each.append(_one_frequency(one, method, alone, seen))
     return _agreed(burst.frequencies_hz, each, request)
 
 
@@ -112,17 +115,15 @@ def _agreed(hz: tuple[float, ...], each: list[PhasorResult], request: Request) -
         times = fine_m.shape[0] // distance_m.shape[0]
         near_m = distance_m.repeat(times, axis=0).repeat(times, axis=1)
         fine_m = in_turn_of(fine_m, near_m, max(hz))
-    doubted = [one.distance_m for one in each if one.distance_m.status is Status.CONTRADICTED]
-    shown = highest.distance_m
-    if doubted and shown.status is not Status.CONTRADICTED:
-        shown = doubted[0]
-    notes = dict(shown.notes) | {"modulation_hz": list(hz)}
+    pictures_m = [highest.distance_m, *(one.distance_m for one in each)]
+    doubted = (one for one in pictures_m if one.status is Status.CONTRADICTED)
+    shown = next(doubted, highest.distance_m)
     distance = replace(
         highest.distance_m,
         image=distance_m,
         fine=fine_m,
         uncertainty=std_m if request.std else None,
-        notes=notes,
+        notes=dict(shown.notes) | {"modulation_hz": list(hz)},
         status=shown.status,
         misfit=shown.misfit,
         confidence=shown.confidence,
@@ -142,7 +143,10 @@ def _one_frequency(
 ) -> PhasorResult:
     part = burst.select(request.frames)
     frames = polar_frames(part)
-    problem = make_problem(part, frames.phasor, **seen)
+    gain = np.ones(len(part.amplitude)) if request.gain is None else request.gain[0]
+    variance = seen["pixel_variance"]
+    variance = None if variance is None else variance / gain[:, None, None] ** 2
+    problem = make_problem(part, frames.phasor, **{**seen, "pixel_variance": variance})
     steps = Steps.of(problem, part, frames)
     sigma = np.maximum(noise_map(problem, request.law)[2], steps.least_noise(problem))
     used = problem.weight > 0
@@ -152,6 +156,8 @@ def _one_frequency(
         told = np.asarray(found.std) if request.std else None
         if told is not None:
             told = np.hypot(told, steps.shared(problem, sigma))
+            if request.gain is not None:
+                told[0] = np.hypot(told[0], std_of_level(np.abs(found.image), gain, 0 * gain))
             found = replace(found, uncertainty=np.hypot(told, _of_stray_light(found, problem)))
     else:
         found = _linear(replace(problem, noise_sigma=float(sigma[used].min())), method, request)
@@ -161,6 +167,8 @@ def _one_frequency(
     notes = dict(found.notes)
     if "contradiction" in notes:
         notes["contradiction"] = notes["contradiction"].replace(ESTIMATED, DIVIDED)
+    if request.gain is not None:
+        notes["gain"] = gain.tolist()
     estimate = replace(
         found,
         noise_sigma=typical,
@@ -173,7 +181,7 @@ def _one_frequency(
     )
     seen_as = found.image if found.fine is None else found.fine
     frame = predictor(
-        burst, problem, request.frames, seen_as * problem.intensity, seen["shift_field"]
+        burst, problem, request.frames, seen_as * problem.intensity, seen["shift_field"], gain
     )
     return _result(frame, problem, estimate, phase_rad, frames.scale)
 
@@ -210,8 +218,8 @@ def _of_stray_light(found: Estimate, problem: Problem) -> Floats | float:
 def _linear(problem: Problem, method: str, request: Request) -> Estimate:
     """Reconstruct the phasor as a complex image; its noise is the same in all directions."""
     kind = Tikhonov if method == "tikhonov" else Tv
-    solver = kind(request.prior_weight, **request.options)
-    estimate = solver(problem, replace(request, non_negative=False))
+    own = replace(request, non_negative=False)
+    estimate = kind(request.prior_weight, **request.options)(problem, own)
 
     def std() -> Floats:
         of_component = np.asarray(estimate.std)
@@ -222,8 +230,6 @@ def _linear(problem: Problem, method: str, request: Request) -> Estimate:
 
 
 def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: Mask) -> None:
-    if settled is frames:
-        return
     turned = float(np.mean(np.abs(settled.phase_rad - frames.phase_rad)[used] > np.pi))
     if turned > TURNED_LIMIT:
         warn_quality(

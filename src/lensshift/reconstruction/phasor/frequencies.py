@@ -249,7 +249,7 @@ def common_distance(pictures: Tones) -> tuple[Floats, Floats]:
     found_m, least, sure = pictures.alone()
     doubt = np.maximum(least / pictures.spare, 1.0)
     alike = _alike(found_m, pictures.sigma_m, pictures.turn_m)
-    edge = alike < _neighbours(alike.shape)
+    edge = alike < _alike(np.zeros(alike.shape), pictures.sigma_m, pictures.turn_m)
     std_m = np.where(edge, pictures.shared_m, pictures.sigma_m) * np.sqrt(doubt)
     asked = (alike < CORNER) | ~sure
     if not asked.any():
@@ -334,12 +334,6 @@ def _alike(distance_m: Array, sigma_m: Array, turn_m: float) -> NDArray[np.int_]
         beyond_m = np.abs(wide_m[at] - distance_m) - ALIKE * turn_m
         count += beyond_m < np.sqrt(SURE * (variance_m2[at] + sigma_m**2))
     return count
-
-
-def _neighbours(shape: tuple[int, ...]) -> NDArray[np.int_]:
-    """Return how many neighbours [row col] pixels have, fewer than 8 at the borders."""
-    rows, cols = (np.convolve(np.ones(n, np.int_), np.ones(3, np.int_))[1:-1] for n in shape)
-    return np.asarray(np.multiply.outer(rows, cols) - 1)
 
 
 def _apart(tried_m: Array, distance_m: Array, asked: Mask, turn_m: float) -> Floats:

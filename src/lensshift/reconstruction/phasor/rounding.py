@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,14 +12,8 @@ from lensshift.core.phasors import phasor_frames
 from lensshift.core.types import Burst
 from lensshift.forward.operator import mean_seen, single
 from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
-from lensshift.reconstruction.problem import Problem, some_pixels
-from lensshift.reconstruction.rounding import (
-    MOST_PIXELS,
-    apart_rms,
-    shared_rounding,
-    step_of,
-    within_rounding,
-)
+from lensshift.reconstruction.problem import Problem
+from lensshift.reconstruction.rounding import apart_rms, shared_rounding, step_of, within_rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +37,8 @@ class Steps:
         if part.distance_m is not None:
             light = step_of(part.amplitude, used) / problem.intensity
             phase_rad = step_of(part.distance_m, used) * frames.scale.rad_per_m
-        some = replace(
-            frames,
-            amplitude=some_pixels(frames.amplitude, used, MOST_PIXELS),
-            phase_rad=some_pixels(frames.phase_rad, used, MOST_PIXELS),
-        ).parts
-        return cls(step_of(some, np.ones(some.shape, bool)) / problem.intensity, light, phase_rad)
+        parts = step_of(frames.parts, np.stack([used, used])) / problem.intensity
+        return cls(parts, light, phase_rad)
 
     def least_noise(self, problem: Problem) -> Floats:
         """Return the noise [frame row col] of a component that rounding alone makes."""

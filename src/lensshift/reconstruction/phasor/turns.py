@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.reconstruction.learned.reach import nearest
 from lensshift.reconstruction.phasor.frames import PolarFrames
 
 WINDOW_PX = 9
@@ -70,14 +71,9 @@ def nearest_turns(
     if frames.scale.circular or np.all(np.abs(frame_rad) < np.pi):
         return np.asarray(phase_rad, np.float64)
     votes: dict[int, Array] = {}
-    for k, (row_px, col_px) in enumerate(offset_px):
-        rows, cols = (
-            np.rint((np.arange(n) + 0.5) / scale - 0.5 + move).astype(int)
-            for n, move in zip(phase_rad.shape, (row_px, col_px), strict=True)
-        )
-        for down, right in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)):
-            at = np.ix_(np.clip(rows + down, 0, frame_rad.shape[1] - 1),
-                        np.clip(cols + right, 0, frame_rad.shape[2] - 1))  # fmt: skip
+    for k, moved_px in enumerate(offset_px):
+        for beside in ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0)):
+            at = np.ix_(*nearest(frame_rad.shape[1:], moved_px, scale, beside))
             seen = frame_rad[k][at]
             turn = np.rint((seen - phase_rad) / (2.0 * np.pi))
             vote = np.where(used[k][at], np.cos(0.5 * (seen - phase_rad)) ** 2, 0.0)
