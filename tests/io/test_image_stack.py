@@ -271,19 +271,95 @@ def save_png(path: Path, image: np.ndarray, mode: str | None = None) -> None:
 def test_what_is_not_greyscale_is_refused_with_advice(tmp_path: Path) -> None:
     colours = frames_of("u1", (5, 7, 3))
     advice = "save it as greyscale of 8 or 16 bits first"
-    save_png(tmp_path / "colour.png", colours)
-    save_png(tmp_path / "palette.png", colours, "P")
     save_png(tmp_path / "bilevel.png", colours, "1")
     clear = np.dstack([np.zeros((5, 7, 3), "u1"), frames_of("u1")[0]])
     save_png(tmp_path / "transparent.png", clear)
     tifffile.imwrite(tmp_path / "colour.tif", colours, photometric="rgb")
     tifffile.imwrite(tmp_path / "negative.tif", colours[..., 0], photometric="miniswhite")
-    for name in (
-        "colour.png", "palette.png", "bilevel.png", "transparent.png", "colour.tif", "negative.tif",
-    ):  # fmt: skip
+    for name in ("bilevel.png", "transparent.png", "colour.tif", "negative.tif"):
         message = message_of(tmp_path / name)
         assert message.startswith(str(tmp_path / name))
         assert advice in message
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "P"])
+def test_photographs_in_colour_become_their_luminance(tmp_path: Path, mode: str) -> None:
+    colours = frames_of("u1", (2, 5, 7, 3))
+    for k, one in enumerate(colours):
+        save_png(tmp_path / f"{k}.png", one, mode)
+    save_png(tmp_path / "2.png", colours[0, ..., 0])  # as where a camera leaves colours out
+    with pytest.warns(QualityWarning, match="0.2125 red") as told:
+        found = load_image_stack(tmp_path).amplitude
+    assert len({str(one.message) for one in told}) == 1
+    assert found.dtype == np.uint8
+    np.testing.assert_array_equal(found[2], colours[0, ..., 0])
+    expected = colours @ [0.2125, 0.7154, 0.0721]
+    palette = [Image.open(tmp_path / f"{k}.png").convert("RGB") for k in (0, 1)]
+    if mode == "P":
+        expected = np.stack([np.asarray(one) for one in palette]) @ [0.2125, 0.7154, 0.0721]
+    assert np.abs(found[:2] - expected).max() <= 0.5
+
+
+@pytest.mark.parametrize("packed", [None, "zlib"])
+def test_pages_and_files_of_colours_in_tiff_are_photographs(
+    tmp_path: Path, packed: str | None
+) -> None:
+    colours = frames_of("u2", (2, 5, 7, 3))
+    kind: dict[str, Any] = {"photometric": "rgb", "compression": packed}
+    tifffile.imwrite(tmp_path / "pages.tif", colours, **kind)
+    for k, one in enumerate(colours):
+        tifffile.imwrite(tmp_path / f"{k}.tif", one, **kind)
+    for source in (tmp_path / "pages.tif", [tmp_path / "0.tif", tmp_path / "1.tif"]):
+        with pytest.warns(QualityWarning, match="0.2125 red"):
+            found = load_image_stack(source).amplitude
+        assert np.abs(found - colours @ [0.2125, 0.7154, 0.0721]).max() <= 0.5
+
+
+TURNED = {
+    1: None, 2: Image.Transpose.FLIP_LEFT_RIGHT, 3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM, 5: Image.Transpose.TRANSPOSE, 6: Image.Transpose.ROTATE_90,
+    7: Image.Transpose.TRANSVERSE, 8: Image.Transpose.ROTATE_270,
+}  # fmt: skip  # what a camera so held does to a picture
+
+
+def save_turned(path: Path, shown: np.ndarray, held: int, told: int) -> None:
+    picture, exif = Image.fromarray(shown), Image.Exif()
+    exif[0x0112] = told
+    way = TURNED[held]
+    (picture if way is None else picture.transpose(way)).save(path, exif=exif)
+
+
+@pytest.mark.parametrize("told", TURNED)
+def test_photographs_are_turned_as_a_viewer_shows_them(tmp_path: Path, told: int) -> None:
+    rng = np.random.default_rng(told)
+    scene = rng.integers(0, 200, (9, 12), dtype=np.uint8)
+    shown = scene + rng.integers(0, 9, (3, 9, 12), dtype=np.uint8)
+    for k, one in enumerate(shown):
+        save_turned(tmp_path / f"{k}.png", one, told, told)
+    np.testing.assert_array_equal(load_image_stack(tmp_path).amplitude, shown)
+    single = load_image_stack(tmp_path / "1.png").amplitude
+    np.testing.assert_array_equal(single, shown[1:2])
+    save_turned(tmp_path / "1.png", shown[1], 1, 1)  # whoever turned it took the tag away
+    np.testing.assert_array_equal(load_image_stack(tmp_path).amplitude, shown)
+
+
+@pytest.mark.parametrize("guessed", [3, 6, 8])
+def test_a_camera_that_guesses_how_it_is_held_does_not_turn_frames(
+    tmp_path: Path, guessed: int
+) -> None:
+    rng = np.random.default_rng(guessed)
+    shown = rng.integers(0, 200, (9, 9), np.uint8) + rng.integers(0, 9, (3, 9, 9), np.uint8)
+    for k, one in enumerate(shown):
+        save_turned(tmp_path / f"{k}.png", one, 1, guessed if k == 1 else 1)
+    with pytest.warns(QualityWarning, match="EXIF orientation of 1.png"):
+        found = load_image_stack(tmp_path).amplitude
+    np.testing.assert_array_equal(found, shown)
+
+
+def test_a_damaged_orientation_turns_nothing(tmp_path: Path) -> None:
+    frame = frames_of("u1")[0]
+    Image.fromarray(frame).save(tmp_path / "a.png", exif=b"Exif\x00\x00XX\x00*damaged")
+    np.testing.assert_array_equal(load_image_stack(tmp_path / "a.png").amplitude[0], frame)
 
 
 def test_deep_colour_is_refused(tmp_path: Path) -> None:

@@ -125,3 +125,22 @@ def test_the_steps_of_a_jpeg_count_frequencies_by_rows_and_columns(tmp_path: Pat
         assert (np.ptp(load_photograph(path)) > 30) == (name == "kept")
     Image.fromarray(stripes).save(tmp_path / "none.png")
     assert load_jpeg_steps(tmp_path / "none.png") is None
+
+
+def test_a_photograph_and_its_blocks_are_turned_as_a_viewer_shows_them(tmp_path: Path) -> None:
+    rgb = colours()
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    stored = Image.fromarray(rgb).transpose(Image.Transpose.ROTATE_90)
+    stored.save(tmp_path / "a.png", exif=exif)
+    np.testing.assert_array_equal(load_photograph(tmp_path / "a.png"), rgb)
+    stored.convert("L").save(tmp_path / "grey.png", exif=exif)
+    assert load_photograph(tmp_path / "grey.png").shape == SHAPE
+    stored.save(tmp_path / "turned.jpg", exif=exif, quality=50)
+    stored.save(tmp_path / "plain.jpg", quality=50)
+    plain = load_jpeg_steps(tmp_path / "plain.jpg")
+    turned = load_jpeg_steps(tmp_path / "turned.jpg")
+    assert plain is not None
+    assert turned is not None
+    assert not np.array_equal(plain, plain.T)
+    np.testing.assert_array_equal(turned, plain.T)

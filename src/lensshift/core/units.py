@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 SPEED_OF_LIGHT_MPS = 299_792_458.0  # by definition
 MILLIMETRE_M = 1e-3
+# Shares of red, green and blue in the luminance that ISO 12233 measures (ITU-R BT.709).
+LUMINANCE = (0.2125, 0.7154, 0.0721)
 # No sensor of light has pixels that are wider; seen through a microscope they may be of any size.
 MOST_PITCH_MM = 10.0
 # The widest lenses without distortion see 135 degrees, the narrowest of cameras (1.2 m of focal

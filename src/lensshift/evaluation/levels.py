@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array, Floats
+from lensshift.core.units import LUMINANCE
 
 CHANNELS = ("luminance", "red", "green", "blue")
-# Shares of red, green and blue in the luminance that ISO 12233 measures (ITU-R BT.709).
-LUMINANCE = (0.2125, 0.7154, 0.0721)
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, warn_quality
+from lensshift.core.units import LUMINANCE
 from lensshift.io.container_reader import OTHERS, is_hdf5
 from lensshift.io.fits_file import load_fits, one_stack
 from lensshift.io.reading import (
@@ -36,10 +37,13 @@ _PILLOW_SUFFIXES = (".png", *JPEG_SUFFIXES, ".bmp")
 IMAGE_SUFFIXES = (*TIFF_SUFFIXES, *_PILLOW_SUFFIXES, ".npy", *FITS_SUFFIXES)
 _FORMATS = ("PNG", "TIFF", "JPEG", "BMP")  # of Pillow
 _GREY_MODES = ("L", "I;16", "I;16B", "I;16L", "I", "F")
-_CHANNEL_MODES = ("LA", "RGB", "RGBA", "P")  # P has a palette
+_CHANNEL_MODES = ("LA", "RGB", "RGBA", "P", "CMYK")
+_AS_RGB = ("P", "CMYK")  # P has a palette
 _PIXEL_BYTES = 4  # the most that a pixel takes, of whole colours or a float
 TIFFFILE_COMPRESSIONS = (1, 8, 32946)  # none and deflate; the rest is left to Pillow
 _ADVICE = "save it as greyscale of 8 or 16 bits first"
+_OR_FRAMES = ", or say --frame-axis last if its channels are frames"
+_ORIENTATION = 0x0112  # tag of EXIF
 SOFTWARE = "lensshift"  # in TIFF files of this package
 _MM = {
     "nm": 1e-6, "um": 1e-3, "micron": 1e-3, "microns": 1e-3, "\u00b5m": 1e-3, "\u03bcm": 1e-3,
@@ -58,9 +62,10 @@ def image_suffix(path: str | Path) -> str:
 def load_frames(path: str | Path, *, colours: bool = False, alone: bool = False) -> NDArray[Any]:
     """Read the frames of an image file, [frame row col] or, for NPY, whatever is in it.
 
-    Integers stay integers. Colour images are taken only if their channels are equal; with
-    `colours` those of a TIFF are the last axis, as where they are frames; `alone` leaves out what
-    lies in other files of a set of OME-TIFFs, which one of them names. Of a FITS file
+    Integers stay integers. Colours become their luminance, with a warning, but those of the only
+    page of a TIFF are refused, for they may be frames: with `colours` they are the last axis.
+    `alone`, one of several files: its colours are no frames, and what other files of a set of
+    OME-TIFFs hold, which one of them names, is left out. Of a FITS file
     (.fits.gz and .fits.fz too): the extensions AMPLITUDE or SCI, else the first image and those
     named like it, if they have one size. DataError if the file is missing, damaged, of another kind
     or not greyscale. ImportError if a FITS file is asked for and astropy is not installed.
@@ -118,12 +123,13 @@ def _load_tiff(path: str | Path, *, colours: bool = False, alone: bool = False) 
             found = ", ".join(sorted(f"{shape} {dtype}" for shape, dtype in sizes))
             raise DataError(f"expected pages of one size and type, got {found:.200}; one file each")
         page, told = file.pages.first, file.ome_metadata or ""
+        cure = _OR_FRAMES if series[0].axes == "YXS" and not alone else ""
         if page.photometric not in (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.RGB):
             raise DataError(f"expected a grey scale with black at 0; {_ADVICE}")
         ours = "<Channel" in told and 'Name="amplitude"' in told
         floats_apart = page.predictor == tifffile.PREDICTOR.FLOATINGPOINT
         if page.compression not in TIFFFILE_COMPRESSIONS or floats_apart:
-            frames = _compressed(path, page)
+            frames = _compressed(path, page, cure)
             return frames if len(series) > 1 else _along_axes(frames, series[0], ours=ours)
         size = Path(path).stat().st_size
         claimed = sum(one.nbytes for one in series)
@@ -133,10 +139,10 @@ def _load_tiff(path: str | Path, *, colours: bool = False, alone: bool = False) 
             return np.concatenate([_pages(one) for one in series])
         if colours and series[0].axes == "YXS":
             return series[0].asarray()
-        return _pages(series[0], ours=ours)
+        return _pages(series[0], cure, ours=ours)
 
 
-def _compressed(path: str | Path, page: Any) -> NDArray[Any]:
+def _compressed(path: str | Path, page: Any, cure: str) -> NDArray[Any]:
     """Return the frames of a TIFF that tifffile does not unpack by itself.
 
     Pillow has fewer types than files have: it gives the bits of uint32 as int32, of int8 as uint8.
@@ -144,7 +150,7 @@ def _compressed(path: str | Path, page: Any) -> NDArray[Any]:
     from PIL import UnidentifiedImageError
 
     try:
-        frames = _load_pillow(path)
+        frames = _load_pillow(path, cure)
     except UnidentifiedImageError as error:
         kind = getattr(page.compression, "name", page.compression)
         problem = f"cannot unpack {page.dtype} of {kind}; save it without compression first"
@@ -161,7 +167,7 @@ def _along_axes(pages: NDArray[Any], series: Any, *, ours: bool) -> NDArray[Any]
     return _one_stack_of(pages.reshape(shape), axes, ours=ours)
 
 
-def _pages(series: Any, *, ours: bool = False) -> NDArray[Any]:
+def _pages(series: Any, cure: str = "", *, ours: bool = False) -> NDArray[Any]:
     """Return the frames [frame row col] of a series of pages; of our exports the amplitude."""
     if series.kind == "ome" and (missing := sum(page is None for page in series.pages)):
         raise DataError(
@@ -169,8 +175,6 @@ def _pages(series: Any, *, ours: bool = False) -> NDArray[Any]:
         )
     values = series.asarray()
     if "S" in series.axes and not _are_frames(series, values):
-        one = series.axes == "YXS"
-        cure = ", or say --frame-axis last if its channels are frames" if one else ""
         values = _grey(np.moveaxis(values, series.axes.index("S"), -1), cure)
     return _one_stack_of(values, series.axes, ours=ours)
 
@@ -272,7 +276,13 @@ def _ome_size_mm(xml: str) -> tuple[float, float] | None:
     return sizes[0], sizes[1]
 
 
-def _load_pillow(path: str | Path) -> NDArray[Any]:
+def _load_pillow(path: str | Path, cure: str = "") -> NDArray[Any]:
+    pages = load_pages(path)
+    return np.stack([one if one.ndim == 2 else _grey(one, cure) for one in pages])
+
+
+def load_pages(path: str | Path) -> list[NDArray[Any]]:
+    """Read the pages, [row col] or [row col channel], of a PNG, JPEG, BMP or TIFF by Pillow."""
     # Pillow's word for damaged tags
     with warnings.catch_warnings(action="error", category=UserWarning):
         with opened_by_pillow(path, *_FORMATS) as image:
@@ -281,7 +291,7 @@ def _load_pillow(path: str | Path) -> NDArray[Any]:
             count = int(getattr(image, "n_frames", 1))
             pixels = count * image.width * image.height
             check_unpacked(_PIXEL_BYTES * pixels, Path(path).stat().st_size, "pages")
-            return np.stack([_pillow_frame(image, number) for number in range(count)])
+            return [_pillow_page(image, number) for number in range(count)]
 
 
 @contextmanager
@@ -297,7 +307,7 @@ def opened_by_pillow(path: str | Path, *formats: str) -> Iterator[Any]:
             raise DataError(f"too large: {error}") from error
 
 
-def _pillow_frame(image: Any, number: int) -> NDArray[Any]:
+def _pillow_page(image: Any, number: int) -> NDArray[Any]:
     image.seek(number)
     if image.mode in _GREY_MODES:
         return np.asarray(image)
@@ -308,17 +318,46 @@ def _pillow_frame(image: Any, number: int) -> NDArray[Any]:
             "16 bits a channel with colour or transparency would lose the lower ones; "
             f"{_ADVICE}, without transparency"
         )
-    return _grey(np.asarray(image.convert("RGB") if image.mode == "P" else image))
+    return np.asarray(image.convert("RGB") if image.mode in _AS_RGB else image)
 
 
-def _grey(channels: NDArray[Any], cure: str = "") -> NDArray[Any]:
-    """Return the grey image of [... channel] whose colours are equal and opaque."""
+def _grey(channels: NDArray[Any], cure: str) -> NDArray[Any]:
+    """Return the luminance of opaque [... channel]; of colours only if no other `cure` is told."""
     count = channels.shape[-1]
     if count in (2, 4):
         alpha = channels[..., -1]
         if np.any(alpha != alpha.flat[0]):
             raise DataError(f"expected an opaque image, got transparency; {_ADVICE}{cure}")
         channels = channels[..., :-1]
-    if count > 4 or np.any(channels != channels[..., :1]):
+    if np.all(channels == channels[..., :1]):
+        return np.ascontiguousarray(channels[..., 0])
+    if count > 4 or cure:
         raise DataError(f"expected greyscale, got a colour image; {_ADVICE}{cure}")
-    return np.ascontiguousarray(channels[..., 0])
+    warn_quality(
+        "the images are in colour: frames are their luminance, "
+        "{} red + {} green + {} blue; for one colour save it as greyscale".format(*LUMINANCE)
+    )
+    light = channels @ np.array(LUMINANCE)
+    whole = channels.dtype.kind in "ui"  # as those of grey images beside them
+    return np.asarray((np.rint(light) if whole else light).astype(channels.dtype))
+
+
+def orientation(path: str | Path) -> int:
+    """Return how a photograph is turned for a viewer, from 1 (as it is) to 8, as EXIF has it."""
+    if Path(path).suffix.lower() not in (".png", *JPEG_SUFFIXES):
+        return 1
+    try:
+        with reading(path), opened_by_pillow(path, "PNG", "JPEG") as image:
+            told = image.getexif().get(_ORIENTATION)
+    except DataError:  # a damaged tag, of pixels that may be whole
+        return 1
+    return told if told in range(1, 9) else 1
+
+
+def upright(image: NDArray[Any], turned: int, *, rows: int = 0) -> NDArray[Any]:
+    """Return an image [row col ...], or from axis `rows` on, as a viewer shows an `orientation`."""
+    if turned > 4:
+        image = image.swapaxes(rows, rows + 1)
+    backward = [turned in (3, 4, 7, 8), turned in (2, 3, 6, 7)]
+    axes = tuple(rows + axis for axis in (0, 1) if backward[axis])
+    return np.ascontiguousarray(np.flip(image, axes))

@@ -107,7 +107,9 @@ def load_stack_fields(
             return _named_fields(path, key, frame_axis)
         if not path.is_dir():
             frames = image_file.load_frames(path, colours=frame_axis == -1)
-            return _plain_fields(_stack(frames, frame_axis, path), path)
+            frames = _stack(frames, frame_axis, path)
+            turned = image_file.orientation(path)
+            return _plain_fields(image_file.upright(frames, turned, rows=frames.ndim - 2), path)
         source = _images_in(path)
     paths = [Path(path) for path in source]
     return _plain_fields(_concatenate(paths), paths[0])
@@ -169,23 +171,47 @@ def _warn_of_series(folder: Path, images: list[Path]) -> None:
 def _concatenate(paths: list[Path]) -> NDArray[Any]:
     if not paths:
         raise DataError("expected at least one image file, got none")
-    stacks: list[NDArray[Any]] = []
-    for path in paths:
-        frames = image_file.load_frames(path, alone=True)
-        frames = frames[np.newaxis] if frames.ndim == 2 else frames
-        expected = stacks[0] if stacks else frames
+    stacks = [image_file.load_frames(path, alone=True) for path in paths]
+    stacks = _upright([one[np.newaxis] if one.ndim == 2 else one for one in stacks], paths)
+    expected = stacks[0]
+    for path, frames in zip(paths, stacks, strict=True):
         if frames.ndim != 3 or frames.shape[1:] != expected.shape[1:]:
             raise DataError(
                 f"expected {expected.shape[1:]} pixels as in {paths[0].name}, got "
-                f"{frames.shape[1:]}",
+                f"{frames.shape[1:]}; what is no frame of the burst goes into another folder",
                 source=path,
             )
         if frames.dtype != expected.dtype:
             raise DataError(
                 f"expected {expected.dtype} as in {paths[0].name}, got {frames.dtype}", source=path
             )
-        stacks.append(frames)
     return np.concatenate(stacks)
+
+
+def _upright(stacks: list[NDArray[Any]], paths: list[Path]) -> list[NDArray[Any]]:
+    """Return photographs as a viewer shows them, all like the first one if so they are alike.
+
+    A camera that looks down guesses how it is held, and may guess anew for each frame.
+    """
+    turned = [image_file.orientation(path) for path in paths]
+    other = next((k for k, one in enumerate(turned) if one != turned[0]), 0)
+    if other:
+        first = image_file.upright(stacks[0][0], turned[0]).astype(np.float64)
+        seen = [image_file.upright(stacks[other][0], turned[k]) for k in (other, 0)]
+        own, alike = (
+            np.mean(np.abs(one - first)) if one.shape == first.shape else np.inf for one in seen
+        )
+        if alike < own:
+            turned = turned[:1] * len(paths)
+            warn_quality(
+                f"the photographs say that they are turned differently (EXIF orientation of "
+                f"{paths[other].name}), but are alike as they are: all are turned like "
+                f"{paths[0].name}"
+            )
+    return [
+        image_file.upright(one, told, rows=one.ndim - 2)
+        for one, told in zip(stacks, turned, strict=True)
+    ]
 
 
 def _stack(

@@ -16,35 +16,42 @@ from lensshift.io.reading import check_unpacked, reading, require_file
 
 PHOTOGRAPH_SUFFIXES = (*image_file.JPEG_SUFFIXES, ".png", *image_file.TIFF_SUFFIXES)
 _COLOURS = 3  # red, green, blue
-_COLOUR_MODES = ("RGB", "RGBA", "P")  # of Pillow: P has a palette
 
 
 def load_photograph(path: str | Path, *, frame: int = 0) -> NDArray[Any]:
-    """Read one picture [row col], or [row col 3] if its colours differ, of .jpg, .png or .tif."""
+    """Read one picture [row col], or [row col 3] if its colours differ, of .jpg, .png or .tif.
+
+    It is turned as a viewer shows it, by the orientation of EXIF.
+    """
     require_file(path)
     suffix = Path(path).suffix.lower()
     with reading(path):
-        tiff = suffix in image_file.TIFF_SUFFIXES
-        values = _colour_tiff(path, frame) if tiff else None
-        if suffix in (*image_file.JPEG_SUFFIXES, ".png"):
-            values = _colour_pillow(path)
+        values = _colour_tiff(path, frame) if suffix in image_file.TIFF_SUFFIXES else None
         if values is None:
-            frames = image_file.load_frames(path)
-            _check_frame(frame, len(frames))
-            return np.asarray(frames[frame])
-        if not tiff:
-            _check_frame(frame, 1)
-        return values[..., 0] if np.all(values == values[..., :1]) else values
+            pillow = suffix in (*image_file.JPEG_SUFFIXES, ".png")
+            pages = (image_file.load_pages if pillow else image_file.load_frames)(path)
+            _check_frame(frame, len(pages))
+            values = image_file.upright(pages[frame], image_file.orientation(path))
+    if values.ndim == 3:
+        values = values[..., : _COLOURS if values.shape[2] > 2 else 1]
+    grey = values.ndim == 3 and bool(np.all(values == values[..., :1]))
+    return values[..., 0] if grey else values
 
 
 def load_jpeg_steps(path: str | Path) -> NDArray[np.float64] | None:
-    """Read the quantisation table [8 8] (row, col) of the luminance of a JPEG; None of others."""
+    """Read the quantisation table [8 8] (row, col) of the luminance of a JPEG; None of others.
+
+    Rows are those of the picture as `load_photograph` turns it.
+    """
     require_file(path)
     if Path(path).suffix.lower() not in image_file.JPEG_SUFFIXES:
         return None
     with reading(path), image_file.opened_by_pillow(path, "JPEG") as image:
         table = image.quantization.get(0)
-        return None if table is None else np.array(table, dtype=np.float64).reshape(8, 8)
+    if table is None:
+        return None
+    steps = np.array(table, dtype=np.float64).reshape(8, 8)
+    return steps.T if image_file.orientation(path) > 4 else steps
 
 
 def load_oecf(path: str | Path) -> NDArray[np.float64]:
@@ -91,22 +98,9 @@ def _colour_tiff(path: str | Path, frame: int) -> NDArray[Any] | None:
         _check_frame(frame, len(file.pages))
         page = file.pages[frame]
         if page.compression not in image_file.TIFFFILE_COMPRESSIONS:
-            return _colour_pillow(path, frame)
+            return image_file.load_pages(path)[frame][..., :_COLOURS]
         check_unpacked(page.nbytes, Path(path).stat().st_size, "pages")
         values = page.asarray()
         if "S" not in page.axes:
             return None
         return np.asarray(np.moveaxis(values, page.axes.index("S"), -1)[..., :_COLOURS])
-
-
-def _colour_pillow(path: str | Path, frame: int = 0) -> NDArray[Any] | None:
-    """Return [row col 3] of a JPEG, or of colours of 8 bits, however opaque; None if it is grey."""
-    with image_file.opened_by_pillow(path, "JPEG", "PNG", "TIFF") as image:
-        image.seek(frame)
-        size = Path(path).stat().st_size
-        check_unpacked(_COLOURS * image.width * image.height, size, "pixels")
-        if image.format == "JPEG":
-            return np.asarray(image.convert("RGB"))
-        if image.mode not in _COLOUR_MODES or any("16" in str(tile[3]) for tile in image.tile):
-            return None
-        return np.asarray(image.convert("RGB"))
