@@ -8,11 +8,13 @@ import h5py
 import numpy as np
 import pytest
 
+from lensshift import reconstruct
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.types import Burst
-from lensshift.io import load_burst, load_image_stack, save_burst
+from lensshift.io import load_burst, load_image_stack, load_reconstruction, save_burst
 from lensshift.io.container_reader import is_ours
 from lensshift.io.foreign_arrays import load_named_arrays
+from lensshift.pipeline import demo_burst
 
 FRAMES = np.random.default_rng(3).random((4, 6, 7))
 HZ = (20e6, 60e6)
@@ -30,6 +32,52 @@ def test_phasors_beside_amplitudes_are_read(tmp_path: Path) -> None:
     assert burst.phasors is not None
     np.testing.assert_array_equal(burst.phasors, told)
     assert burst.frequencies_hz == HZ
+
+
+def test_phasors_of_one_frequency_need_no_axis_of_it(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", phasors=phasors()[0], modulation_hz=HZ[0])
+    np.testing.assert_array_equal(load_image_stack(tmp_path / "a.npz").amplitude, phasors()[0])
+
+
+def test_four_phases_are_no_choice_of_frames(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", **{f"dcs{k}": FRAMES for k in range(4)})
+    with pytest.raises(DataError, match="got dcs0, dcs1, dcs2, dcs3; of four phases"):
+        load_image_stack(tmp_path / "a.npz")
+
+
+def test_numbers_of_matlab_have_two_axes(tmp_path: Path) -> None:
+    offset_px = np.array([[0, 0], [0, 0.5], [0.5, 0], [0.5, 0.5]])
+    told = {"amplitude": np.moveaxis(FRAMES, 0, 2), "offset_px": offset_px}
+    told |= {"modulation_hz": np.array([HZ]), "pitch_mm": np.array([[0.045]])}
+    path = hdf5(tmp_path / "a.mat", **{name: values.T for name, values in told.items()})
+    with h5py.File(path, "a") as file:
+        for name in told:
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+    with pytest.raises(DataError, match="--frame-axis last"):
+        load_image_stack(path)
+    burst = load_image_stack(path, frame_axis=-1)
+    np.testing.assert_array_equal(burst.amplitude, FRAMES)
+    np.testing.assert_array_equal(burst.offset_px, offset_px)
+    assert burst.frequencies_hz == HZ
+    assert burst.grid.pitch_mm == (0.045, 0.045)
+
+
+@pytest.mark.parametrize("of", ["burst", "result"])
+def test_what_xarray_saves_is_read_as_ours(tmp_path: Path, of: str) -> None:
+    pytest.importorskip("xarray")
+    burst, _ = demo_burst()
+    path = tmp_path / "a.nc"
+    if of == "burst":
+        burst.to_xarray().to_netcdf(path, engine="h5netcdf")
+        again = load_burst(path)
+        assert (again.modulation_hz, again.grid) == (burst.modulation_hz, burst.grid)
+        np.testing.assert_array_equal(again.amplitude, burst.amplitude)
+        np.testing.assert_array_equal(again.offset_px, burst.offset_px)
+        return
+    result = reconstruct(burst, method="shift-and-add")
+    result.to_xarray().to_netcdf(path, engine="h5netcdf")
+    image = load_reconstruction(path)["amplitude"].image
+    np.testing.assert_array_equal(image, result["amplitude"].image)
 
 
 @pytest.mark.parametrize("extra", ["offset_um", "K", "modulation_mhz"])

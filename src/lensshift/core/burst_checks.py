@@ -92,6 +92,7 @@ def doubt_about_axes(frames: Array, offset_px: ArrayLike | None) -> str:
     doubt = (
         f"expected [frame row col], got shape {frames.shape} where frames seem to lie along axis "
         f"{axis} ({why}): np.moveaxis(frames, {axis}, 0) puts them first"
+        f"{', of a file --frame-axis last' * (axis == 2)}"
     )
     if others:
         raise DataError(doubt, field="amplitude")

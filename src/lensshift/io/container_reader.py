@@ -227,16 +227,23 @@ def is_ours(path: str | Path) -> bool:
     """Tell whether a file is an HDF5 file of this package, and not of another program."""
     if not is_hdf5(path):
         return False
-    with reading(path), opened(Path(path), "") as root:
-        group: Any = root.group
-        for name in GROUP.split("/"):
-            group = _member(group, name) if hasattr(group, "keys") else None
+    with reading(path), opened(Path(path), whole=True) as root:
+        group = _ours(root.group)
         return group is not None and "schema" in group.attrs
 
 
+def _ours(file: Any) -> Any:
+    """Return the group of our variables, or the file itself where xarray wrote them; or None."""
+    if "entry" not in file and str(file.attrs.get("schema")).startswith("lensshift-"):
+        return file
+    for name in GROUP.split("/"):
+        file = _member(file, name) if hasattr(file, "keys") else None
+    return file if hasattr(file, "keys") else None
+
+
 @contextmanager
-def opened(path: Path, inside: str = GROUP) -> Iterator[Container]:
-    """Open an HDF5 file and a group of it, "" for the whole."""
+def opened(path: Path, *, whole: bool = False) -> Iterator[Container]:
+    """Open an HDF5 file, the group of our variables or the whole."""
     import h5py
 
     if not is_hdf5(path):
@@ -245,12 +252,10 @@ def opened(path: Path, inside: str = GROUP) -> Iterator[Container]:
         file = h5py.File(path, "r")
     try:
         with reading(path, GROUP):
-            group = file
-            for name in filter(None, inside.split("/")):
-                group = _member(group, name)
-                if not isinstance(group, h5py.Group):
-                    problem = "the group is missing; not a file of lensshift"
-                    raise DataError(f"{problem}; {OTHERS}", field=GROUP)
+            group = file if whole else _ours(file)
+            if group is None:
+                problem = "the group is missing; not a file of lensshift"
+                raise DataError(f"{problem}; {OTHERS}", field=GROUP)
         yield Container(path, group)
     finally:
         with reading(path):

@@ -83,7 +83,7 @@ def _hdf5_arrays(path: Path, attributes: Collection[str]) -> dict[str, NDArray[A
     import h5py
 
     items: dict[str, Any] = {}
-    with opened(path, "") as root, reading(path):
+    with opened(path, whole=True) as root, reading(path):
         root.group.visititems(lambda name, item: items.update({name: item}))  # follows no link
         items = {
             name: item

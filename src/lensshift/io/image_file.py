@@ -33,6 +33,7 @@ FITS_SUFFIXES = (".fits", ".fit", ".fts")
 _PACKED = (".gz", ".fz")  # of telescopes' archives, after an ending of FITS
 _PACKERS = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar", ".tgz")  # of anything else
 JPEG_SUFFIXES = (".jpg", ".jpeg")
+_CURES = {".mat": "; MATLAB's save(..., '-v7.3') writes HDF5, which is read"}
 _PILLOW_SUFFIXES = (".png", *JPEG_SUFFIXES, ".bmp")
 IMAGE_SUFFIXES = (*TIFF_SUFFIXES, *_PILLOW_SUFFIXES, ".npy", *FITS_SUFFIXES)
 _FORMATS = ("PNG", "TIFF", "JPEG", "BMP")  # of Pillow
@@ -92,9 +93,9 @@ def load_frames(path: str | Path, *, colours: bool = False, alone: bool = False)
             )
         if suffix in RECORDING_SUFFIXES:
             raise DataError("no image, but a recording: lensshift live --replay plays it")
-        cure = "; unpack it first" if suffix in _PACKERS else ""
-        known = ", ".join(IMAGE_SUFFIXES)
-        raise DataError(f"expected {known} or .npz, got {suffix!r:.40}{cure}")
+        cure = "; unpack it first" if suffix in _PACKERS else _CURES.get(suffix, "")
+        known = ", ".join((*IMAGE_SUFFIXES, ".npz", ".h5"))
+        raise DataError(f"expected {known} or .nc, got {suffix!r:.40}{cure}")
 
 
 def _load_npy(path: str | Path) -> NDArray[Any]:

@@ -31,8 +31,8 @@ _PLAIN = (
     "offset_px", "offset_sigma_px", "affine", "stage_mm", "stage_commanded_mm", "time_s", "phasors",
 )  # fmt: skip
 _SCALARS: dict[str, Callable[[NDArray[Any]], Any]] = {
-    "pitch_mm": lambda values: np.broadcast_to(values.astype(np.float64), (2,)),
-    "modulation_hz": np.ndarray.tolist,
+    "pitch_mm": lambda values: np.broadcast_to(values.astype(np.float64).squeeze(), (2,)),
+    "modulation_hz": lambda values: values.squeeze().tolist(),  # of MATLAB, all have two axes
     "offset_source": str,
     "meta": lambda values: parse_json(str(values), field="meta"),
 }
@@ -137,13 +137,19 @@ def _images_in(folder: Path) -> list[Path]:
         ]
         kinds = sorted({image_file.image_suffix(path) for path in images})
         if len(kinds) > 1:
-            raise DataError(f"the folder holds {' and '.join(kinds)} files; name those to use")
+            cure = "keep those that are frames in a folder of their own"
+            raise DataError(f"the folder holds {' and '.join(kinds)} files; {cure}")
         if not images:
             raise DataError(f"the folder holds no image ({', '.join(image_file.IMAGE_SUFFIXES)})")
 
     images = sorted(images, key=lambda path: _natural(path.name))
     _warn_of_series(folder, images)
     return images
+
+
+def _kind(name: str) -> str:
+    """Return a name without its numbers, which those of one kind have in common."""
+    return _NUMBER.sub("#", name)
 
 
 def _natural(name: str) -> list[tuple[bool, int, str]]:
@@ -156,8 +162,7 @@ def _warn_of_series(folder: Path, images: list[Path]) -> None:
     """Warn of images that share their numbers, as amp_0, amp_1, depth_0 and depth_1."""
     numbers: dict[str, list[str]] = {}
     for path in images:
-        name = _NUMBER.sub("#", path.name)
-        numbers.setdefault(name, []).append("-".join(re.findall("[0-9]+", path.name)))
+        numbers.setdefault(_kind(path.name), []).append("-".join(re.findall("[0-9]+", path.name)))
     first, *others = numbers.values()
     if len(first) > 1 and others and all(each == first for each in others):
         warn_quality(
@@ -274,7 +279,8 @@ def _named_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[s
             fields[stack] = _stack(arrays[stack], frame_axis, path, stack)
     _mark_unmeasured(fields)
     _warn_of_unread(path, arrays, name, key)
-    fields |= {plain: arrays[plain] for plain in _PLAIN if plain in arrays}
+    told = (one for one in _PLAIN if one in arrays and one != name)  # phasors are frames, too
+    fields |= {plain: arrays[plain] for plain in told}
     for scalar, convert in _SCALARS.items():
         if scalar in arrays:
             with reading(path, scalar):
@@ -287,7 +293,7 @@ def _named_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[s
 def _joined(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return arrays [row col] whose names differ by a number alone as the frames that they are."""
     images = [one for one, v in arrays.items() if v.ndim == 2 and one not in _PLAIN]
-    kinds = {(_NUMBER.sub("#", one), arrays[one].shape, arrays[one].dtype) for one in images}
+    kinds = {(_kind(one), arrays[one].shape, arrays[one].dtype) for one in images}
     if len(images) < 2 or len(kinds) > 1 or any(v.ndim > 2 for v in arrays.values()):
         return arrays
     others = {one: v for one, v in arrays.items() if one not in images}
@@ -302,8 +308,9 @@ def _warn_of_unread(path: Path, arrays: Mapping[str, Any], name: str, key: str |
     if unread := [one for one in left if one not in known]:
         warn_quality(
             f"{path}: nothing is done with {', '.join(unread):.300}; distances are read from "
-            "distance_m, in metres, which pixels count from valid, shifts from offset_px, and the "
-            "other fields of Burst by their names",
+            "distance_m, in metres, which pixels count from valid, shifts from offset_px, where "
+            "pixels look from focal_px and centre_px (row, col), and the other fields of Burst by "
+            "their names",
             4,
         )
 
@@ -325,6 +332,11 @@ def _frames_name(path: Path, arrays: dict[str, NDArray[Any]], key: str | None) -
     others = (*_STACKS, "affine", *NAMES)
     stacks = [name for name, v in arrays.items() if v.ndim in (3, 4) and name not in others]
     known = [name for name in FRAME_KEYS if name in arrays]
+    if key is None and not known and len(stacks) == 4 and len(set(map(_kind, stacks))) == 1:
+        problem = (
+            f"expected frames, got {', '.join(stacks)}{cure_of_axes((4, *arrays[stacks[0]].shape))}"
+        )
+        raise DataError(problem, field="key", source=path)
     return chosen(arrays, key, known[:1] or stacks, path)
 
 
