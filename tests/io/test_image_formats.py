@@ -205,3 +205,32 @@ def test_pixels_that_do_not_count_come_back_as_such(
     found = load_image_stack(tmp_path / name)
     np.testing.assert_array_equal(found.valid, valid)
     np.testing.assert_array_equal(found.amplitude[valid], frames[valid])
+
+
+@pytest.mark.parametrize("packed", [None, "zlib"])
+def test_a_key_takes_a_channel_and_a_depth(tmp_path: Path, packed: str | None) -> None:
+    stack = np.random.default_rng(3).integers(0, 999, (4, 3, 2, 9, 13)).astype("u2")  # TZCYX
+    path = tmp_path / "a.ome.tif"
+    tifffile.imwrite(path, stack, metadata={"axes": "TZCYX"}, compression=packed)
+    found = load_image_stack(path, key="C=1,Z=2").amplitude
+    np.testing.assert_array_equal(found, stack[:, 2, 1])
+    found = load_image_stack(path, key="z=0, t=3").amplitude
+    np.testing.assert_array_equal(found, stack[3, 0])
+    wrong = {None: "Z=0 to Z=2, C=0 to C=1", "C=1": "got axes TZYX", "C=2": "got 'C=2'"}
+    for key, message in wrong.items():
+        with pytest.raises(lensshift.DataError, match=message):
+            load_image_stack(path, key=key)
+
+
+def test_a_key_of_our_own_export_takes_another_image(
+    result: Reconstruction, tmp_path: Path
+) -> None:
+    export_reconstruction(result, tmp_path / "a.ome.tif")
+    found = load_image_stack(tmp_path / "a.ome.tif", key="C=3").amplitude[0]
+    np.testing.assert_array_equal(found, result["distance"].image.astype(np.float32))
+
+
+def test_a_key_where_nothing_has_a_name_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.ones((2, 9, 13)))
+    with pytest.raises(lensshift.DataError, match="key: arrays have names in NPZ and HDF5"):
+        load_image_stack(tmp_path / "a.npy", key="amplitude")

@@ -93,7 +93,9 @@ def test_channels_of_packed_pages_are_no_frames(tmp_path: Path) -> None:
     packed_hyperstack(tmp_path / "one.tif", frames, channels=1)
     np.testing.assert_array_equal(load(tmp_path / "one.tif"), frames)
     packed_hyperstack(tmp_path / "two.tif", np.concatenate([frames, frames]), channels=2)
-    assert "axes TCYX (4, 2, 5, 7); save one channel" in message_of(tmp_path / "two.tif")
+    assert "axes TCYX (4, 2, 5, 7); choose a channel" in message_of(tmp_path / "two.tif")
+    pages = np.concatenate([frames, frames]).reshape(4, 2, 5, 7)
+    np.testing.assert_array_equal(load(tmp_path / "two.tif", key="C=1"), pages[:, 1])
 
 
 def test_ome_tiffs_of_a_set_hold_each_frame_once(tmp_path: Path) -> None:

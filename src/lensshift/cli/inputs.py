@@ -40,7 +40,9 @@ class StackOptions:
         None, "Shifts of an image stack: CSV (row,col) or JSON, in LR px."
     )
     pitch_mm: str | None = option(None, "Pixel pitch of an image stack: one number, or row,col.")
-    key: str | None = option(None, "Name of the frames in an NPZ or HDF5 file.")
+    key: str | None = option(
+        None, "Name of the frames in an NPZ or HDF5 file; of a TIFF, C=1 (channel), Z=0 (depth)."
+    )
     frame_axis: Literal["first", "last"] | None = option(
         None,
         "Where the frames lie in an array or a TIFF; default: first, if that can be.",

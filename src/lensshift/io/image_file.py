@@ -60,11 +60,14 @@ def image_suffix(path: str | Path) -> str:
     return inner if packed else path.suffix.lower()
 
 
-def load_frames(path: str | Path, *, colours: bool = False, alone: bool = False) -> NDArray[Any]:
+def load_frames(
+    path: str | Path, *, key: str | None = None, colours: bool = False, alone: bool = False
+) -> NDArray[Any]:
     """Read the frames of an image file, [frame row col] or, for NPY, whatever is in it.
 
     Integers stay integers. Colours become their luminance, with a warning, but those of the only
     page of a TIFF are refused, for they may be frames: with `colours` they are the last axis.
+    `key` chooses along other axes of a TIFF, as in C=1,Z=0 (channel, depth).
     `alone`, one of several files: its colours are no frames, and what other files of a set of
     OME-TIFFs hold, which one of them names, is left out. Of a FITS file
     (.fits.gz and .fits.fz too): the extensions AMPLITUDE or SCI, else the first image and those
@@ -74,7 +77,8 @@ def load_frames(path: str | Path, *, colours: bool = False, alone: bool = False)
     require_file(path)
     suffix = image_suffix(path)
     loaders: dict[str, Callable[[str | Path], NDArray[Any]]] = {".npy": _load_npy}
-    loaders |= dict.fromkeys(TIFF_SUFFIXES, partial(_load_tiff, colours=colours, alone=alone))
+    as_told = partial(_load_tiff, key=key, colours=colours, alone=alone)
+    loaders |= dict.fromkeys(TIFF_SUFFIXES, as_told)
     loaders |= dict.fromkeys(_PILLOW_SUFFIXES, _load_pillow)
     loaders |= dict.fromkeys(FITS_SUFFIXES, load_fits)
     if suffix in JPEG_SUFFIXES:
@@ -83,6 +87,10 @@ def load_frames(path: str | Path, *, colours: bool = False, alone: bool = False)
         )
         warn_quality(lossy)
     with reading(path):
+        if key is not None and suffix not in TIFF_SUFFIXES:
+            raise DataError(
+                "arrays have names in NPZ and HDF5, channels in TIFF files", field="key"
+            )
         if suffix in loaders:
             return loaders[suffix](path)
         if suffix in CONTAINER_SUFFIXES:
@@ -112,7 +120,7 @@ def _load_npy(path: str | Path) -> NDArray[Any]:
     return np.array(values)
 
 
-def _load_tiff(path: str | Path, *, colours: bool = False, alone: bool = False) -> NDArray[Any]:
+def _load_tiff(path: str | Path, *, key: str | None, colours: bool, alone: bool) -> NDArray[Any]:
     import tifffile
 
     with strict_tifffile(), tifffile.TiffFile(path, _multifile=not alone) as file:
@@ -127,20 +135,21 @@ def _load_tiff(path: str | Path, *, colours: bool = False, alone: bool = False) 
         cure = _OR_FRAMES if series[0].axes == "YXS" and not alone else ""
         if page.photometric not in (tifffile.PHOTOMETRIC.MINISBLACK, tifffile.PHOTOMETRIC.RGB):
             raise DataError(f"expected a grey scale with black at 0; {_ADVICE}")
-        ours = "<Channel" in told and 'Name="amplitude"' in told
+        if key is None and "C" in series[0].axes and "<Channel" in told:
+            key = "C=0" if 'Name="amplitude"' in told else None  # beside it lie distance ...
         floats_apart = page.predictor == tifffile.PREDICTOR.FLOATINGPOINT
         if page.compression not in TIFFFILE_COMPRESSIONS or floats_apart:
             frames = _compressed(path, page, cure)
-            return frames if len(series) > 1 else _along_axes(frames, series[0], ours=ours)
+            return frames if len(series) > 1 else _along_axes(frames, series[0], key)
         size = Path(path).stat().st_size
         claimed = sum(one.nbytes for one in series)
         check_held((len(series), *series[0].shape), claimed, size, "pages")
         check_unpacked(claimed, size, "pages")
         if len(series) > 1:  # pages that were written one by one
-            return np.concatenate([_pages(one) for one in series])
+            return np.concatenate([_pages(one, key) for one in series])
         if colours and series[0].axes == "YXS":
             return series[0].asarray()
-        return _pages(series[0], cure, ours=ours)
+        return _pages(series[0], key, cure)
 
 
 def _compressed(path: str | Path, page: Any, cure: str) -> NDArray[Any]:
@@ -159,36 +168,48 @@ def _compressed(path: str | Path, page: Any, cure: str) -> NDArray[Any]:
     return frames.astype(page.dtype) if frames.dtype.kind in "iu" else frames
 
 
-def _along_axes(pages: NDArray[Any], series: Any, *, ours: bool) -> NDArray[Any]:
+def _along_axes(pages: NDArray[Any], series: Any, key: str | None) -> NDArray[Any]:
     """Return the frames of grey pages [page row col] along the axes that a series gives them."""
     axes = series.axes.replace("S", "")
     shape = [count for count, axis in zip(series.shape, series.axes, strict=True) if axis != "S"]
     if pages.size != math.prod(shape):
         raise DataError(f"expected pages of {tuple(shape)} ({axes}), got {pages.shape}")
-    return _one_stack_of(pages.reshape(shape), axes, ours=ours)
+    return _one_stack_of(pages.reshape(shape), axes, key)
 
 
-def _pages(series: Any, cure: str = "", *, ours: bool = False) -> NDArray[Any]:
-    """Return the frames [frame row col] of a series of pages; of our exports the amplitude."""
+def _pages(series: Any, key: str | None, cure: str = "") -> NDArray[Any]:
+    """Return the frames [frame row col] of a series of pages."""
     if series.kind == "ome" and (missing := sum(page is None for page in series.pages)):
         raise DataError(
             f"{missing} of its {len(series.pages)} pages are in files that are not beside it"
         )
-    values = series.asarray()
-    if "S" in series.axes and not _are_frames(series, values):
-        values = _grey(np.moveaxis(values, series.axes.index("S"), -1), cure)
-    return _one_stack_of(values, series.axes, ours=ours)
+    values, axes = series.asarray(), series.axes
+    if "S" in axes and not _are_frames(series, values):
+        values = _grey(np.moveaxis(values, axes.index("S"), -1), cure)
+        axes = axes.replace("S", "")
+    return _one_stack_of(values, axes, key)
 
 
-def _one_stack_of(values: NDArray[Any], axes: str, *, ours: bool) -> NDArray[Any]:
-    if ours and "C" in axes:  # beside it lie distance, deviations ...
-        values = values.take(0, axis=axes.index("C"))
+def _one_stack_of(values: NDArray[Any], axes: str, key: str | None) -> NDArray[Any]:
+    """Return frames [frame row col] of axes as TZCYX, at the places that a key tells (C=1,Z=0)."""
     if values.ndim < 2:
         raise DataError(f"expected [row col] or [frame row col], got shape {values.shape}")
+    others = {axis: n for axis, n in zip(axes[:-2], values.shape, strict=False) if n > 1}
+    places = ", ".join(f"{axis}=0 to {axis}={n - 1}" for axis, n in others.items())
+    for told in key.split(",") if key else ():
+        axis, _, number = told.strip().upper().partition("=")
+        if not number.isdecimal() or int(number) >= others.get(axis, 0):
+            problem = (
+                f"expected places along the axes {axes}, {places or 'none here'}; got {told!r:.40}"
+            )
+            raise DataError(problem, field="key")
+        values = values.take(int(number), axis=axes.index(axis))
+        axes = axes.replace(axis, "")
+        del others[axis]
     if not one_stack(values.shape):
         raise DataError(
-            f"expected one stack of frames, got axes {axes} {values.shape}; "
-            "save one channel or depth of it"
+            f"expected one stack of frames, got axes {axes} {values.shape}; choose a channel or "
+            f"depth by a key as C=0 (--key C=0), of {places}"
         )
     frames: NDArray[Any] = values.reshape(-1, *values.shape[-2:])
     return frames

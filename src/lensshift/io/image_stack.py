@@ -59,7 +59,8 @@ def load_image_stack(
     pitch_mm : pixel pitch, one number or (row, col); None takes `pitch_mm` of an NPZ file, the
         pixel size of a TIFF of ImageJ, OME or this package, or 1
     key : name of the array in an NPZ or HDF5 file; None looks for amplitude, frames, LR, the only
-        stack, or images whose names differ by a number alone
+        stack, or images whose names differ by a number alone; of a TIFF of several channels or
+        depths places along its axes, as C=1,Z=0
     frame_axis : axis of the frames in NPY and NPZ arrays, -1 for [row col frame]; None: the first,
         unless without offsets the last one seems to be it, which is refused
     modulation_hz : modulation frequency, or all of them
@@ -106,13 +107,13 @@ def load_stack_fields(
         if has_names(path) and not (path.is_file() and is_ours(path)):
             return _named_fields(path, key, frame_axis)
         if not path.is_dir():
-            frames = image_file.load_frames(path, colours=frame_axis == -1)
+            frames = image_file.load_frames(path, key=key, colours=frame_axis == -1)
             frames = _stack(frames, frame_axis, path)
             turned = image_file.orientation(path)
             return _plain_fields(image_file.upright(frames, turned, rows=frames.ndim - 2), path)
         source = _images_in(path)
     paths = [Path(path) for path in source]
-    return _plain_fields(_concatenate(paths), paths[0])
+    return _plain_fields(_concatenate(paths, key), paths[0])
 
 
 def _plain_fields(frames: NDArray[Any], first: Path) -> dict[str, Any]:
@@ -173,10 +174,10 @@ def _warn_of_series(folder: Path, images: list[Path]) -> None:
         )
 
 
-def _concatenate(paths: list[Path]) -> NDArray[Any]:
+def _concatenate(paths: list[Path], key: str | None) -> NDArray[Any]:
     if not paths:
         raise DataError("expected at least one image file, got none")
-    stacks = [image_file.load_frames(path, alone=True) for path in paths]
+    stacks = [image_file.load_frames(path, key=key, alone=True) for path in paths]
     stacks = _upright([one[np.newaxis] if one.ndim == 2 else one for one in stacks], paths)
     expected = stacks[0]
     for path, frames in zip(paths, stacks, strict=True):
