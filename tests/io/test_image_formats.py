@@ -230,6 +230,13 @@ def test_a_key_of_our_own_export_takes_another_image(
     np.testing.assert_array_equal(found, result["distance"].image.astype(np.float32))
 
 
+def test_our_export_of_amplitudes_alone_is_read(tmp_path: Path) -> None:
+    burst = replace(a_burst(), distance_m=None)
+    export_burst(burst, tmp_path / "a.ome.tif")
+    found = load_image_stack(tmp_path / "a.ome.tif").amplitude
+    np.testing.assert_array_equal(found, burst.amplitude.astype(np.float32))
+
+
 def test_a_key_where_nothing_has_a_name_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.ones((2, 9, 13)))
     with pytest.raises(lensshift.DataError, match="key: arrays have names in NPZ and HDF5"):

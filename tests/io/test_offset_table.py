@@ -100,7 +100,7 @@ def test_bad_csv_names_the_line(tmp_path: Path, content: str, said: str) -> None
         ('{"offset_px": [[1, 2]\n', "not JSON: Expecting ',' delimiter (line 2"),
         ("[[1, 2]]", "offset_px: expected {"),
         ("{}", "offset_px: expected {"),
-        ('{"offset_px": []}', "offset_px: expected [[row, col], ...]"),
+        ('{"offset_px": []}', 'offset_px: expected {"offset_px": [[row, col], ...]}'),
         ('{"offset_px": [[1, 2], [3]]}', "offset_px[1]: expected [float, float], got [3]"),
         ('{"offset_px": [1, 2]}', "offset_px[0]: expected [float, float], got 1"),
         ('{"offset_px": [[1, 2, 3]]}', "offset_px[0]: expected [float, float]"),
@@ -111,7 +111,7 @@ def test_bad_csv_names_the_line(tmp_path: Path, content: str, said: str) -> None
         ('{"offset_px": [[1, 2]], "offset_sigma_px": 3}', "offset_sigma_px: "),
         ('{"offset_px": [[1, 2]], "offset_source": "guess"}', "offset_source: "),
         ('{"offset_px": [[1, 2]], "offset_source": [1]}', "offset_source: "),
-        ('{"offset_px": [[1, 2]], "sigma": 3}', "sigma: expected only"),
+        ('{"offset_px": [[1, 2]], "sigma": 3}', "sigma: is not known, expected offset_px"),
         ("[" * 50_000, ""),
     ],
 )

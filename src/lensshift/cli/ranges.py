@@ -11,7 +11,8 @@ from typing import Any
 
 import typer
 
-_MM, _UM = "42.7 mm are 42.7, not 42700 or 0.0427", "1 um is 1, not 1000 nm"
+_OF_ACTUATOR_UM = ("actuator_um", "repeatability_um", "backlash_um", "encoder_um", "drift_um")
+_MM = "42.7 mm are 42.7, not 42700 or 0.0427"
 _SMALL_MM = "50 um are 0.05"
 _SHARE = "a share: 2 % are 0.02"
 # Option -> least, most, what is usually mixed up. Wider than anything that has been built; what
@@ -44,11 +45,7 @@ _RANGES = {
     "tilt_deg": (0.0, 45.0, "in degrees: 6 minutes of arc are 0.1"),
     "focal_share": (0.0, 0.9, "a share: 1 % is 0.01"),
     "index": (0.0, 0.3, "as 0.0005"),
-    "actuator_um": (0.0, 999.0, f"in um: {_UM}"),
-    "repeatability_um": (0.0, 999.0, f"in um: {_UM}"),
-    "backlash_um": (0.0, 999.0, f"in um: {_UM}"),
-    "encoder_um": (0.0, 999.0, f"in um: {_UM}"),
-    "drift_um": (0.0, 999.0, f"in um: {_UM}"),
+    **dict.fromkeys(_OF_ACTUATOR_UM, (0.0, 999.0, "in um: 1 um is 1, not 1000 nm")),
     "f_number": (0.3, 500.0, "the focal length over the aperture"),
     "distortion": (0.0, 1.0, _SHARE),
     "highest_lpmm": (0.1, 10_000.0, "in line pairs per mm"),

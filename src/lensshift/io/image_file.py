@@ -194,18 +194,16 @@ def _one_stack_of(values: NDArray[Any], axes: str, key: str | None) -> NDArray[A
     """Return frames [frame row col] of axes as TZCYX, at the places that a key tells (C=1,Z=0)."""
     if values.ndim < 2:
         raise DataError(f"expected [row col] or [frame row col], got shape {values.shape}")
-    others = {axis: n for axis, n in zip(axes[:-2], values.shape, strict=False) if n > 1}
-    places = ", ".join(f"{axis}=0 to {axis}={n - 1}" for axis, n in others.items())
+    others = dict(zip(axes[:-2], values.shape, strict=False))
+    places = ", ".join(f"{axis}=0 to {axis}={n - 1}" for axis, n in others.items() if n > 1)
     for told in key.split(",") if key else ():
         axis, _, number = told.strip().upper().partition("=")
-        if not number.isdecimal() or int(number) >= others.get(axis, 0):
-            problem = (
-                f"expected places along the axes {axes}, {places or 'none here'}; got {told!r:.40}"
+        if not number.isdecimal() or int(number) >= others.pop(axis, 0):
+            raise DataError(
+                f"expected one of {places or 'no places'}, got {told!r:.40}", field="key"
             )
-            raise DataError(problem, field="key")
         values = values.take(int(number), axis=axes.index(axis))
         axes = axes.replace(axis, "")
-        del others[axis]
     if not one_stack(values.shape):
         raise DataError(
             f"expected one stack of frames, got axes {axes} {values.shape}; choose a channel or "

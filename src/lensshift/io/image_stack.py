@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -199,25 +200,28 @@ def _upright(stacks: list[NDArray[Any]], paths: list[Path]) -> list[NDArray[Any]
 
     A camera that looks down guesses how it is held, and may guess anew for each frame.
     """
-    turned = [image_file.orientation(path) for path in paths]
-    other = next((k for k, one in enumerate(turned) if one != turned[0]), 0)
-    if other:
-        first = image_file.upright(stacks[0][0], turned[0]).astype(np.float64)
-        seen = [image_file.upright(stacks[other][0], turned[k]) for k in (other, 0)]
-        own, alike = (
-            np.mean(np.abs(one - first)) if one.shape == first.shape else np.inf for one in seen
-        )
-        if alike < own:
-            turned = turned[:1] * len(paths)
-            warn_quality(
-                f"the photographs say that they are turned differently (EXIF orientation of "
-                f"{paths[other].name}), but are alike as they are: all are turned like "
-                f"{paths[0].name}"
-            )
-    return [
-        image_file.upright(one, told, rows=one.ndim - 2)
-        for one, told in zip(stacks, turned, strict=True)
-    ]
+    own = [image_file.orientation(path) for path in paths]
+
+    def turned(*each: int) -> list[NDArray[Any]]:
+        both = zip(stacks, each, strict=True)
+        return [image_file.upright(one, told, rows=one.ndim - 2) for one, told in both]
+
+    frames, alike = turned(*own), own[:1] * len(own)
+    if own == alike or _apart(frames) <= _apart(turned(*alike)):
+        return frames
+    warn_quality(
+        "the photographs say that they are turned differently (EXIF orientation), but are alike "
+        f"as they are: all are turned like {paths[0].name}"
+    )
+    return turned(*alike)
+
+
+def _apart(stacks: list[NDArray[Any]]) -> float:
+    """Return how much images differ from the first one; infinity if their sizes do."""
+    if len({one.shape[1:] for one in stacks}) > 1:
+        return math.inf
+    first = stacks[0][0].astype(np.float64)
+    return sum(float(np.mean(np.abs(one[0] - first))) for one in stacks)
 
 
 def _stack(

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError
-from lensshift.core.settings import fit, parse_json, read_text
-from lensshift.core.types import OFFSET_SOURCES, OffsetSource
+from lensshift.core.settings import built, parse_json, read_text
+from lensshift.core.types import OffsetSource
 from lensshift.io.reading import reading, require_file
 
 _REQUIRED = ("row", "col")
 _COLUMNS = ("frame", *_REQUIRED, "sigma_row", "sigma_col")
-_JSON_FIELDS = ("offset_px", "offset_sigma_px", "offset_source")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,28 +119,25 @@ def _csv_row(header: list[str], cells: list[str], line: str) -> dict[str, float]
     return row
 
 
+@dataclass(frozen=True, slots=True)
+class _Json:
+    offset_px: tuple[tuple[float, float], ...]
+    offset_sigma_px: tuple[tuple[float, float], ...] | None = None
+    offset_source: OffsetSource = "planned"
+
+
 def _from_json(text: str) -> OffsetTable:
     content = parse_json(text, field="offset_px")
-    if "offset_px" not in content:
-        raise DataError('expected {"offset_px": [[row, col], ...]}', field="offset_px")
-    unknown = sorted(set(content) - set(_JSON_FIELDS))
-    if unknown:
-        raise DataError(f"expected only {', '.join(_JSON_FIELDS)}", field=f"{unknown[0]:.40}")
-    source = content.get("offset_source", "planned")
-    if source not in OFFSET_SOURCES:
-        problem = f"expected one of {', '.join(OFFSET_SOURCES)}, got {source!r:.40}"
-        raise DataError(problem, field="offset_source")
-    return OffsetTable(
-        _json_pairs(content, "offset_px"),
-        _json_pairs(content, "offset_sigma_px") if "offset_sigma_px" in content else None,
-        cast(OffsetSource, source),
-    )
+    if not content.get("offset_px"):
+        problem = 'expected {"offset_px": [[row, col], ...]}, a pair for each frame'
+        raise DataError(problem, field="offset_px")
+    told = built(_Json, content, "")
+    sigma = told.offset_sigma_px
+    sigma_px = None if sigma is None else _pairs(sigma, "offset_sigma_px")
+    return OffsetTable(_pairs(told.offset_px, "offset_px"), sigma_px, told.offset_source)
 
 
-def _json_pairs(content: Mapping[str, Any], name: str) -> NDArray[np.float64]:
-    found = fit(content[name], tuple[tuple[float, float], ...], name)
-    if not found:
-        raise DataError("expected [[row, col], ...], got none", field=name)
+def _pairs(found: tuple[tuple[float, float], ...], name: str) -> NDArray[np.float64]:
     pairs = np.array(found)
     if not np.all(np.isfinite(pairs)):
         raise DataError("expected finite numbers, got NaN or infinity", field=name)

@@ -42,12 +42,11 @@ def picture_layers(value: Burst | Reconstruction) -> list[PictureLayer]:
         return found
     found = []
     for name, estimate in value.channels.items():
-        unit = UNITS[name]
-        found.append(PictureLayer(name, _real(estimate.image), unit))
-        if estimate.std is not None:
-            found.append(PictureLayer(f"{name}_std", _real(estimate.std), unit))
-        if estimate.misfit is not None:
-            found.append(PictureLayer(f"{name}_misfit", _real(estimate.misfit)))
+        parts = {"": estimate.image, "_std": estimate.std, "_misfit": estimate.misfit}
+        for part, values in parts.items():
+            if values is not None:
+                unit = "" if part == "_misfit" else UNITS[name]
+                found.append(PictureLayer(f"{name}{part}", _real(values), unit))
     if value.flying is not None:
         found.append(PictureLayer("flying", value.flying))
     return found
