@@ -198,9 +198,7 @@ def _search(
         _, spread = newton(*now.of(0, free), curvature, kinds)
     spread = spread + lost * _BLIND_PX**2 * np.eye(len(spread))
     fit = _fit_of(state, spread * tapered.inflation, reference, converged=converged)
-    power = at.weight * np.sum(np.abs(tapered.spectra) ** 2, axis=1)
-    along_edge = np.asarray(np.linalg.eigh((at.own * power) @ at.own.T)[1][:, 0])  # least detail
-    return fit, curvature.least_share, along_edge
+    return fit, curvature.least_share, _least_detail(tapered, at)
 
 
 def _bent(
@@ -272,6 +270,12 @@ def likely_steps(
         own = _fit_of(state, spread, reference, converged=True)
         found.append((step[:, :2], own.sigma_px))
     return found
+
+
+def _least_detail(tapered: Tapered, at: Frequencies) -> Floats:
+    """Return the direction [2] in which the frames have least detail: along an edge."""
+    power = at.weight * np.sum(np.abs(tapered.spectra) ** 2, axis=1)
+    return np.asarray(np.linalg.eigh((at.own * power) @ at.own.T)[1][:, 0])
 
 
 def with_given(fit: ShiftFit, given_px: Shifts, sigma_px: Shifts | None, *, said: bool) -> ShiftFit:
