@@ -101,6 +101,20 @@ def test_frames_that_nearly_all_lie_at_one_place_do_not_refute_the_others(moved:
     assert sigma_px.max() < 0.03
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_pattern_of_the_pixels_speaks_for_no_place(seed: int) -> None:
+    """It stands still: were it not taken off, places too near to each other would predict it."""
+    true_px = offsets(9, seed)
+    frames = noisy(sampled(waves, true_px, (27, 40)), 0.02, seed)
+    pattern = 0.3 * np.random.default_rng(50 + seed).standard_normal(frames.shape[1:])
+    valid = np.ones(frames.shape, np.bool_)
+    right, nearer = (
+        prediction_error(frames + pattern, valid, share * true_px, patterned=True)[0]
+        for share in (1.0, 0.95)
+    )
+    assert np.mean(right) < np.mean(nearer)
+
+
 def test_a_right_fit_stays_and_a_wrong_one_goes() -> None:
     true_px = offsets(9, 2)
     frames = noisy(sampled(waves, true_px, (27, 40)), 0.05, 2)

@@ -87,8 +87,8 @@ def better_shifts(fit: ShiftFit, frames: Array, valid: Mask, reference: int) -> 
         return fit
     other = picture_shifts(frames, valid, fit.offset_px, reference=reference)
     if len(frames) >= LEAST_PREDICTING:
-        error, _ = prediction_error(frames, valid, fit.offset_px)
-        other_error, apart_px = prediction_error(frames, valid, other.offset_px)
+        error, _ = prediction_error(frames, valid, fit.offset_px, patterned=True)
+        other_error, apart_px = prediction_error(frames, valid, other.offset_px, patterned=True)
         # Half of the frames disagree with the other half by twice the variance of all.
         variance = np.mean((apart_px - np.median(apart_px, axis=0)) ** 2, axis=0)
         other = _widened(other, variance, reference)
@@ -154,7 +154,9 @@ def picture_shifts(frames: Array, valid: Mask, start_px: Shifts, *, reference: i
     return replace(found, covariance_px2=found.covariance_px2 * factor**2)
 
 
-def prediction_error(frames: Array, valid: Mask, place_px: Places) -> tuple[Floats, Shifts]:
+def prediction_error(
+    frames: Array, valid: Mask, place_px: Places, *, patterned: bool = False
+) -> tuple[Floats, Shifts]:
     """Return the mean error [frame] of frames that are predicted from every other one.
 
     And by how much [frame 2] their shifts seem to be off in these pictures.
@@ -162,26 +164,32 @@ def prediction_error(frames: Array, valid: Mask, place_px: Places) -> tuple[Floa
     Parameters
     ----------
     place_px : [frame 2] shifts, or [frame 2 term] as in `Fit`
+    patterned : whether what is off in all frames alike counts for nothing, as a pattern of pixels:
+        of places that are nearly right, for others leave the scene so
     """
-    error, weight, steps = predicted(frames, valid, place_px)
+    error, weight, steps = predicted(frames, valid, place_px, patterned=patterned)
     within = (1, 2)
     return np.sum(error * weight, within) / np.maximum(np.sum(weight, within), 1.0), steps
 
 
-def predicted(frames: Array, valid: Mask, place_px: Places) -> tuple[Array, Array, Shifts]:
+def predicted(
+    frames: Array, valid: Mask, place_px: Places, *, patterned: bool = False
+) -> tuple[Array, Array, Shifts]:
     """Return size and weight of the error of each pixel [frame row col], and steps [frame 2]."""
     frames = frames - frames[valid].mean()
     place_px = place_px.reshape(len(frames), 2, -1)
     steps = np.zeros((len(frames), 2))
-    error, weights = np.zeros(frames.shape), np.zeros(frames.shape)
+    error, weights = np.zeros_like(frames), np.zeros(frames.shape)
     half = np.arange(len(frames)) % 2 == 0
     for known in (half, ~half):
         model, y, weight = _model(frames[known], valid[known], place_px[known])
         image = smooth_fit(model.operator, y, weight, STIFFNESS, FIRST_ITERATIONS)
         model, y, weight = _model(frames[~known], valid[~known], place_px[~known])
         steps[~known] = _step(model.operator, image, y, weight)[0][..., 0]
-        error[~known], weights[~known] = np.abs(y - model.operator.forward(image)), weight
-    return error, weights, steps
+        error[~known], weights[~known] = y - model.operator.forward(image), weight
+    if patterned:
+        error -= np.sum(weights * error, axis=0) / np.maximum(np.sum(weights, axis=0), 1.0)
+    return np.abs(error), weights, steps
 
 
 def _model(frames: Array, valid: Mask, place_px: Places) -> tuple[ForwardModel, Array, Array]:
