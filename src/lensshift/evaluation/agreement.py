@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lensshift.core.arrays import Array
+from lensshift.core.gaussian import MEDIAN_ERROR
 from lensshift.core.optical import MtfCurve
 
 # Where the edge promises between these, the curves are compared: a pattern has no more to show
@@ -17,7 +18,6 @@ COMPARED = (0.1, 0.9)
 ALIKE = 0.03
 _SURE = 3.0  # standard errors
 _COARSE = 0.15  # of the range of frequencies, from the coarsest lines on, where both are the same
-_OF_MEDIAN = 1.25  # its standard error over that of a mean, of normal noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +90,7 @@ def edge_and_pattern(edge: MtfCurve, pattern: MtfCurve, *, unsure: float = 0.0) 
         scale = float(np.median(modulation[coarse] / promised[coarse]))
         alone = np.sqrt(np.maximum(of_pattern**2 - (unsure * modulation) ** 2, 0.0))
         each = float(np.mean(alone[coarse] / promised[coarse])) / scale
-        of_scale = _OF_MEDIAN * each / np.sqrt(np.count_nonzero(coarse))
+        of_scale = MEDIAN_ERROR * each / np.sqrt(np.count_nonzero(coarse))
         modulation, of_pattern = modulation / scale, alone / scale
     frequency, promised, shown = frequency[seen], promised[seen], modulation[seen]
     difference = float(np.mean(promised - shown))

@@ -11,7 +11,7 @@ import numpy as np
 from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.defects import NO_CHANCE, unequal_brightness
 from lensshift.core.errors import warn_quality
-from lensshift.core.gaussian import MEDIAN_SIZE
+from lensshift.core.gaussian import MEDIAN_ERROR, MEDIAN_SIZE
 from lensshift.core.local_means import gaussian_around, mean_around
 from lensshift.core.types import Burst, Estimate, Frame
 from lensshift.forward.differences import image_slopes
@@ -25,8 +25,8 @@ from lensshift.reconstruction.phasor.frames import polar_frames
 from lensshift.reconstruction.quantiles import ENOUGH, weighted_mad, weighted_median
 from lensshift.registration.blocks import filled
 from lensshift.registration.light import gains_of_light, light_said
+from lensshift.registration.robust_fit import HUBER_SIGMAS
 
-HUBER_SIGMAS = 1.345
 # Rounds end when no gain changes by more than this share, far below what it is off by in the end:
 # 0.3 % on boxes and photographs of SNR 100. Each halves what is left, whatever it began with.
 SETTLED, MOST_ROUNDS = 1e-3, 16
@@ -121,7 +121,7 @@ class _Gain:
         if count <= 1:
             return True
         few = float(-stdtrit(count - 1, float(ndtr(-NO_CHANCE))))
-        return 1 - self.gain <= few * self.spread * math.sqrt(math.pi / 2 / count)
+        return 1 - self.gain <= few * self.spread * MEDIAN_ERROR / math.sqrt(count)
 
     @property
     def level(self) -> bool:

@@ -9,7 +9,7 @@ from scipy.ndimage import shift
 
 from lensshift.core.arrays import Array, Floats, Shifts
 from lensshift.core.errors import warn_quality
-from lensshift.core.gaussian import MAD_TO_SIGMA
+from lensshift.core.gaussian import MAD_TO_SIGMA, MEDIAN_ERROR
 from lensshift.registration.likelihood import USUAL_SHIFT_PX
 from lensshift.registration.robust_fit import HUBER_SIGMAS
 
@@ -18,7 +18,6 @@ _DARK = 0.2  # of the light of most blocks: below, a ratio is noise
 _ROUNDING = 1e-9
 _PASSES = 8  # of reweighting
 _SURE = 3.0  # how far gains are off on average, in standard errors of each
-_OF_MEDIAN = 1.2533  # error of a median over that of a mean
 
 
 def light_allowed_for(
@@ -105,7 +104,7 @@ def _gain(ratio: Floats, slopes: Floats, sigma_px: Floats) -> tuple[float, float
         found = np.linalg.solve(normal, design.T @ (weight * ratio))
         beside = ratio - design[:, 1:] @ found[1:]
         rest = beside - np.median(beside)
-    error = _OF_MEDIAN * spread * float(np.linalg.inv(normal)[0, 0]) ** 0.5
+    error = MEDIAN_ERROR * spread * float(np.linalg.inv(normal)[0, 0]) ** 0.5
     return float(np.median(beside)), error
 
 
