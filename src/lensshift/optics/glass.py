@@ -91,37 +91,14 @@ class Glass:
             raise ValueError(f"expected finite constants and a range of wavelengths, got {numbers}")
 
 
-GLASSES = {
-    "N-BK7": Glass(
-        "sellmeier 1",
-        (1.03961212, 0.00600069867, 0.231792344, 0.0200179144, 1.01046945, 103.560653),
-        (1.86e-6, 1.31e-8, -1.37e-11, 4.34e-7, 6.27e-10, 0.170),
-        range_nm=(300.0, 2500.0),
-        source="SCHOTT data sheet N-BK7",
-    ),
-    "N-SF11": Glass(
-        "sellmeier 1",
-        (1.73759695, 0.013188707, 0.313747346, 0.0623068142, 1.89878101, 155.23629),
-        (-3.56e-6, 9.20e-9, -2.10e-11, 9.65e-7, 1.44e-9, 0.294),
-        range_nm=(370.0, 2500.0),
-        source="SCHOTT data sheet N-SF11",
-    ),
-    "L-BAL35": Glass(
-        "sellmeier 1",
-        (1.1626263, 0.0125957437, 0.325661051, -0.0032691105, 1.35132486, 119.214596),
-        (5.03e-6, 1.22e-8, -3.81e-11, 4.93e-7, 5.76e-10, 0.160),
-        reference_c=25.0,
-        range_nm=(300.0, 2400.0),
-        source="OHARA data sheet L-BAL35",
-    ),
-    "fused silica": Glass(
-        "sellmeier 1",
-        (0.6961663, 0.0684043**2, 0.4079426, 0.1162414**2, 0.8974794, 9.896161**2),
-        (2.06e-5, 2.51e-8, -2.47e-11, 3.12e-7, 4.22e-10, 0.160),
-        range_nm=(210.0, 3710.0),
-        source="Malitson, J. Opt. Soc. Am. 55 (1965) 1205; thermal: SCHOTT data sheet LITHOSIL-Q",
-    ),
-}
+GLASSES = ("N-BK7", "N-SF11", "L-BAL35", "fused silica")  # the first to think of
+_SILICA = Glass(
+    "sellmeier 1",
+    (0.6961663, 0.0684043**2, 0.4079426, 0.1162414**2, 0.8974794, 9.896161**2),
+    (2.06e-5, 2.51e-8, -2.47e-11, 3.12e-7, 4.22e-10, 0.160),
+    range_nm=(210.0, 3710.0),
+    source="Malitson, J. Opt. Soc. Am. 55 (1965) 1205; thermal: SCHOTT data sheet LITHOSIL-Q",
+)
 
 _added: dict[str, Glass] = {}
 
@@ -130,7 +107,7 @@ _added: dict[str, Glass] = {}
 def _shipped() -> dict[str, Glass]:
     from lensshift.optics.agf import parse_agf
 
-    known = parse_agf(lines_of("glasses.agf")) | GLASSES
+    known = parse_agf(lines_of("glasses.agf")) | {"fused silica": _SILICA}
     for name, *numbers in map(str.split, lines_of("glass_codes.txt").splitlines()):
         index_d, abbe = map(float, numbers)
         if (solid := known.get(_unmoulded(name))) is None:
