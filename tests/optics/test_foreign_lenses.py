@@ -15,6 +15,7 @@ from lensshift.optics.agf import load_glass_catalogue, parse_agf
 from lensshift.optics.forbes import forbes_terms
 from lensshift.optics.glass import model_glass, refractive_index
 from lensshift.optics.glass_called import glass_called
+from lensshift.optics.layout import layout
 from lensshift.optics.lens import Lens
 from lensshift.optics.lens_file import format_lens, parse_lens
 from lensshift.optics.paraxial import paraxial
@@ -192,6 +193,27 @@ def test_a_virtual_image_lies_in_front_of_the_last_surface() -> None:
     near = trace(lens, AXIS, 0.01 * POINTS).position_mm
     assert np.abs(near).max() < 1e-4  # paraxial rays meet there
     check_written_again(lens)
+
+
+@pytest.mark.parametrize("aside_mm", [-9.0, -3.0, -1.0, 70.0])
+def test_a_stop_that_lies_where_its_light_does_not_go_is_a_virtual_one(aside_mm: float) -> None:
+    lens_alone = (FRONT.replace("STOP; ", ""), BACK)
+    stop = "STOP; TYPE STANDARD; CURV 0; DISZ {}; DIAM 9 1"
+    far = abs(aside_mm) if aside_mm < 0 else 70.0  # behind the first vertex, behind the sensor too
+    before = parse_zmx(zmx(FAR, stop.format(-far), *lens_alone, IMAGE))
+    data = paraxial(before)  # the plane itself, as no element stands in front of it
+    assert (data.entrance_pupil_mm, before.stop.diameter_mm) == (far, 10.0)
+    chief = trace(before, FIELD, np.zeros((1, 2)), crossings=True).crossing_mm
+    assert chief is not None
+    slope = np.array([*FIELD, 1.0])
+    assert chief[0, 0] - slope * (chief[0, 0, 2] - far) == pytest.approx([0, 0, far], abs=1e-9)
+    assert layout(before).virtual_stop
+    assert not layout(parse_zmx(zmx(*SINGLET))).virtual_stop
+    check_written_again(before)
+    front, back = lens_alone[0], BACK.replace("DISZ 60", f"DISZ {-abs(aside_mm)}")
+    behind = parse_zmx(zmx(FAR, front, back, stop.format(60.0 + abs(aside_mm)), IMAGE))
+    assert paraxial(behind).exit_pupil_mm == pytest.approx(-abs(aside_mm), abs=1e-9)
+    check_written_again(behind)
 
 
 def test_a_pupil_wider_than_the_clear_aperture_is_clipped() -> None:

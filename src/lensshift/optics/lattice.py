@@ -162,10 +162,8 @@ def _counts(reach_mm: Floats, step_mm: Floats) -> tuple[int, int]:
     """Return the points along each axis of a lattice that holds an image, multiples of 4."""
     from scipy.fft import next_fast_len
 
-    rows, cols = (
-        4 * next_fast_len(int(np.ceil(0.5 * n)) + 1, real=True) for n in reach_mm / step_mm
-    )
-    return rows, cols
+    half = np.ceil(0.5 * reach_mm / step_mm).astype(int).tolist()
+    return (4 * next_fast_len(half[0] + 1, real=True), 4 * next_fast_len(half[1] + 1, real=True))
 
 
 def _cycles(count: tuple[int, int]) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -65,6 +65,7 @@ class Layout:
     stop : the two edges of the stop, from the hole outwards
     sensor : across the images of the fields
     names : of the elements
+    virtual_stop : whether the stop is where elements in front of it show it (`Stop.behind`)
     """
 
     surfaces: tuple[tuple[Polyline, ...], ...]
@@ -73,6 +74,7 @@ class Layout:
     stop: tuple[Polyline, Polyline]
     sensor: Polyline
     names: tuple[str, ...]
+    virtual_stop: bool = False
 
 
 def layout(
@@ -128,6 +130,7 @@ def layout(
         stop=_stop(lens, along, surfaces),
         sensor=Polyline(np.full(2, lens.positions_mm()[-1]), np.array([-edge_mm, edge_mm])),
         names=tuple(one.name for one in lens.elements),
+        virtual_stop=lens.stop.behind is not None,
     )
 
 

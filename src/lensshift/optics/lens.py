@@ -193,11 +193,14 @@ class Stop:
     diameter_mm : of the hole
     position_mm : from the first vertex of the lens, negative in front of it
     rides_on : number of the element that carries it, or None if it is fixed in space
+    behind : how many elements light passes before it, if not those that lie in front of it: the
+        stop is a virtual one, where those elements show the hole
     """
 
     diameter_mm: float
     position_mm: float = 0.0
     rides_on: int | None = None
+    behind: int | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.diameter_mm) and self.diameter_mm > 0):
@@ -243,8 +246,7 @@ class Lens:
                 f"gaps and {len(self.elements)} elements"
             )
         for number, gap_mm in enumerate(self.gaps_mm, start=1):
-            virtual = number == len(self.gaps_mm)
-            if not (math.isfinite(gap_mm) and (gap_mm >= 0 or virtual)):
+            if not math.isfinite(gap_mm) or (gap_mm < 0 and number < len(self.gaps_mm)):
                 raise ValueError(
                     f"expected a gap of at least 0 mm behind element {number}, got {gap_mm:g} mm"
                 )
@@ -264,7 +266,9 @@ class Lens:
     def _check_stop(self) -> None:
         if self.stop.rides_on is not None:
             self.check_element(self.stop.rides_on, "the stop on an element")
-        if self.stop.position_mm < -self.object_mm:
+        if self.stop.behind:
+            self.check_element(self.stop.behind - 1, "the element in front of the stop")
+        if self.stop.behind is None and self.stop.position_mm < -self.object_mm:
             raise ValueError(
                 f"expected a stop between object and sensor, got {self.stop.position_mm:g} mm, in "
                 f"front of an object {self.object_mm:g} mm away"
@@ -329,14 +333,14 @@ class Lens:
         ValueError
             If the stop lies behind the sensor.
         """
-        stop_mm = self.stop.position_mm
-        starts_mm = self.positions_mm()
-        if stop_mm > starts_mm[-1] and self.gaps_mm[-1] >= 0:
+        stop_mm, starts_mm, behind = self.stop.position_mm, self.positions_mm(), self.stop.behind
+        last = behind in (None, len(self.elements))
+        if last and stop_mm >= starts_mm[-1] and self.gaps_mm[-1] >= 0:
             raise ValueError(
                 f"expected a stop in front of the sensor at {starts_mm[-1]:g} mm, got {stop_mm} mm"
             )
         middles_mm = starts_mm[:-1] + [0.5 * element.length_mm for element in self.elements]
-        return int(np.sum(stop_mm > middles_mm))
+        return int(np.sum(stop_mm > middles_mm)) if behind is None else behind
 
     def with_decenter(self, element: int, decenter_mm: tuple[float, float]) -> Lens:
         """Return the lens with one element at another decentre (row, col)."""
@@ -362,9 +366,8 @@ class Lens:
 
     def check_element(self, element: int, what: str = "an element") -> None:
         """Raise a ValueError if there is no element of this number, counted from 0."""
-        last = len(self.elements) - 1
-        if not 0 <= element <= last:
-            raise ValueError(f"expected {what} from 0 to {last}, got {element}")
+        if not 0 <= element < len(self.elements):
+            raise ValueError(f"expected {what} from 0 to {len(self.elements) - 1}, got {element}")
 
     def _with(self, element: int, **changes: tuple[float, float]) -> Lens:
         self.check_element(element)
@@ -381,10 +384,8 @@ def cover_glass(glass: str, thickness_mm: float, semi_diameter_mm: float = math.
 
 def _check_order(front: Surface, back: Surface, distance_mm: float, number: int) -> None:
     """Raise a ValueError if the back surface reaches before the front one anywhere on both."""
-    if front.mirror or back.mirror:  # what is drawn unfolded may cross
-        return
     largest_mm = min(front.semi_diameter_mm, back.semi_diameter_mm)
-    if not math.isfinite(largest_mm):
+    if front.mirror or back.mirror or math.isinf(largest_mm):  # what is drawn unfolded may cross
         return
     heights_mm = largest_mm * _CHECKED_HEIGHTS
     room_mm = distance_mm + back.sag_mm(heights_mm) - front.sag_mm(heights_mm)

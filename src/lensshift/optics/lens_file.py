@@ -72,7 +72,7 @@ def parse_lens(text: str, source: str | Path = "") -> Lens:
     content = parse_toml(text, source)
     with settings_of(source):
         lens = _lens(content, text)
-    if (name := element_about_stop(lens)) is not None:
+    if (name := element_about_stop(lens)) is not None and lens.stop.behind is None:
         at_mm = lens.stop.position_mm
         warn_quality(f"{source or 'lens'}: the stop at {at_mm:g} mm lies in {name}: is that right?")
     return lens
@@ -101,6 +101,8 @@ def format_lens(lens: Lens) -> str:
     ]
     if stop.rides_on is not None:
         lines.append(f"rides_on = {stop.rides_on + 1}")
+    if stop.behind is not None:
+        lines.append(f"behind = {stop.behind}")
     for name in sorted({glass for element in lens.elements for glass in element.glass}):
         if not is_shipped(name):
             lines += ["", "[[glass]]", *_entries(name=name, **asdict(glass_data(name)))]
@@ -150,14 +152,16 @@ def _lens(content: dict[str, Any], text: str) -> Lens:
         name = fit(glass.pop("name"), str, f"{where}, name").upper()
         with about(where):
             add_glasses({name: Glass(**glass)})
-    stop = _entries_of(found.pop("stop"), Stop, "stop", rides_on=None)
+    stop = _entries_of(found.pop("stop"), Stop, "stop", rides_on=None, behind=None)
     tables = _tables(found, "element", "lens")
+    for key, least in (("rides_on", 1), ("behind", 0)):
+        number = stop[key]
+        if number is not None and not (type(number) is int and least <= number <= len(tables)):
+            raise DataError(
+                f"expected the number of an element from {least} to {len(tables)}, got {number!r}",
+                field=key,
+            )
     carrier = stop.pop("rides_on")
-    if carrier is not None and not (type(carrier) is int and 1 <= carrier <= len(tables)):
-        raise DataError(
-            f"expected the number of an element from 1 to {len(tables)}, got {carrier!r}",
-            field="rides_on",
-        )
     elements: list[Element] = []
     gaps_mm = []
     for number, table in enumerate(tables, start=1):

@@ -129,7 +129,7 @@ def with_wedges(
     """
     longer_mm = _before_lens_mm(lens)
     ahead_mm = longer_mm - 2.0 * _WEDGE_MM - _WEDGE_ROOM_MM
-    carrier = lens.stop.rides_on
+    carrier, behind = lens.stop.rides_on, lens.stop.behind
     return replace(
         lens,
         elements=(*(wedge(glass, _WEDGE_MM, wedge_rad, at) for at in turn_rad), *lens.elements),
@@ -138,6 +138,7 @@ def with_wedges(
             lens.stop,
             position_mm=lens.stop.position_mm + longer_mm,
             rides_on=None if carrier is None else carrier + 2,
+            behind=None if behind is None else behind + 2,
         ),
         object_mm=lens.object_mm - longer_mm,
     )
@@ -148,7 +149,8 @@ def _before_lens_mm(lens: Lens) -> float:
     front = lens.elements[0].surfaces[0]
     edge_mm = front.semi_diameter_mm if math.isfinite(front.semi_diameter_mm) else 0.0
     hollow_mm = -float(np.nanmin(front.sag_mm(np.linspace(0.0, edge_mm, _HEIGHTS))))
-    return 2.0 * (_WEDGE_MM + _WEDGE_ROOM_MM) + max(hollow_mm, -lens.stop.position_mm, 0.0)
+    ahead_mm = 0.0 if lens.elements_before_stop() else -lens.stop.position_mm
+    return 2.0 * (_WEDGE_MM + _WEDGE_ROOM_MM) + max(hollow_mm, ahead_mm, 0.0)
 
 
 class _Turning(NamedTuple):

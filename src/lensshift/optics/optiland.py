@@ -97,13 +97,9 @@ def _planes(lens: Lens) -> Iterator[tuple[float, dict[str, Any]]]:
         for depth_mm, surface, material in behind:
             vertex_mm = np.array([*element.decenter_mm, start_mm]) + depth_mm * turned[:, 2]
             y, x, z = (turned @ rotations_of(np.array(surface.tilt_rad)))[:, 2]
-            placed: dict[str, Any] = {
-                "rx": -math.asin(y),
-                "ry": math.atan2(x, z),
-                "comment": element.name,
-            }
-            placed |= _options(surface, vertex_mm) | {"material": material}
-            yield float(vertex_mm[2]), placed
+            told = {"rx": -math.asin(y), "ry": math.atan2(x, z), "comment": element.name}
+            told["material"] = material
+            yield float(vertex_mm[2]), _options(surface, vertex_mm) | told
     if before == len(lens.elements):
         yield _stop(lens)
 

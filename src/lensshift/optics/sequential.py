@@ -112,18 +112,17 @@ def lens_of_entries(
     stops = [number for number, entry in enumerate(entries) if entry.is_stop]
     if len(stops) != 1:
         raise DataError(f"expected one surface marked STOP, got {len(stops)}")
-    stop_mm, rides_on = _stop_place(frames[stops[0]], stops[0], groups, elements, starts_mm)
     far = math.isinf(entries[0].distance_mm)
     lens = Lens(
         elements=tuple(elements),
         gaps_mm=tuple(map(float, gaps_mm)),
-        stop=Stop(_UNSET_STOP_MM, stop_mm, rides_on),
+        stop=_stop(frames[stops[0]], stops[0], groups, elements, starts_mm),
         object_mm=math.inf if far else float(starts_mm[0]),
         wavelength_nm=wavelength_nm,
         temperature_c=temperature_c,
         name=name,
     )
-    return _with_aperture(lens, aperture, entries[stops[0]], notes)
+    return _placed(_with_aperture(lens, aperture, entries[stops[0]], notes), notes)
 
 
 def _check_image(image: Frame, entry: Entry, elements: list[Element], notes: list[str]) -> None:
@@ -172,18 +171,19 @@ def _unfolded(entries: list[Entry], frames: list[Frame]) -> list[Frame]:
     return unfolded
 
 
-def _stop_place(
+def _stop(
     frame: Frame,
     number: int,
     groups: list[list[int]],
     elements: list[Element],
     starts_mm: Floats,
-) -> tuple[float, int | None]:
-    """Return where the stop is from the first vertex, and which decentred element carries it."""
+) -> Stop:
+    """Return where the stop is, behind which elements, and which decentred one carries it."""
     at_mm = float(frame.origin[2] - starts_mm[0])
-    if np.abs(frame.origin[:2]).max() < _CLOSE:
-        return at_mm, None
     carrier = next((i for i, group in enumerate(groups) if number in group), None)
+    behind = sum(group[-1] < number for group in groups) if carrier is None else None
+    if np.abs(frame.origin[:2]).max() < _CLOSE:
+        return Stop(_UNSET_STOP_MM, at_mm, behind=behind)
     if carrier is None:  # a plane of its own, beside an element that is moved as far
         aside_mm = frame.origin[1::-1]
         carrier = next(
@@ -193,7 +193,7 @@ def _stop_place(
         )  # fmt: skip
     if carrier is None:
         raise DataError("expected a stop on the axis, or on an element", field=f"surface {number}")
-    return at_mm, carrier
+    return Stop(_UNSET_STOP_MM, at_mm, carrier, behind)
 
 
 def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: list[str]) -> Lens:
@@ -222,10 +222,18 @@ def _with_aperture(lens: Lens, aperture: tuple[str, float], stop: Entry, notes: 
             )
         diameter_mm = min(diameter_mm, widest_mm)
     with about(stop.where()):
-        lens = replace(lens, stop=replace(lens.stop, diameter_mm=diameter_mm))
-    if (name := element_about_stop(lens)) is not None:
+        return replace(lens, stop=replace(lens.stop, diameter_mm=diameter_mm))
+
+
+def _placed(lens: Lens, notes: list[str]) -> Lens:
+    """Return the lens with a stop that is told by its place alone, where that tells it."""
+    name, stop = element_about_stop(lens), lens.stop
+    middles_mm = lens.positions_mm()[:-1] + [0.5 * one.length_mm for one in lens.elements]
+    if stop.behind is None and name is not None:
         notes.append(f"the stop lies in {name}: taken in the air beside it")
-    return lens
+    if name is not None or stop.behind != np.sum(stop.position_mm > middles_mm):
+        return lens
+    return replace(lens, stop=replace(stop, behind=None))
 
 
 def element_about_stop(lens: Lens) -> str | None:

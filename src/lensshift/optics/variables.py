@@ -122,7 +122,7 @@ class Variables:
             ends = np.cumsum([len(element.surfaces) for element in lens.elements]) - 1
             kept = ends[:-1] if is_plate(lens.elements[-1]) and len(ends) > 1 else ends
             slots += [_Slot("gap", int(place), long_mm) for place in kept]
-        if freedom.stop and 0 <= self._front < first - 1:
+        if freedom.stop and lens.stop.behind is None and 0 <= self._front < first - 1:
             slots.append(_Slot("stop", 0, long_mm))
         return slots
 
@@ -168,7 +168,7 @@ class Variables:
                 spaces_mm[slot.place] = max(value, 0.0 if slot.kind == "gap" else _LEAST_MM)
             else:
                 surfaces[slot.place] = _changed(surfaces[slot.place], slot.kind, value)
-        if 0 <= front < len(surfaces) - 1:  # the stop takes its room
+        if lens.stop.behind is None and 0 <= front < len(surfaces) - 1:  # the stop takes its room
             spaces_mm[front] = max(spaces_mm[front], stop_mm + _LEAST_MM)
         at_mm = sum(spaces_mm[: max(front, 0)]) + stop_mm
         elements, gaps, left = [], [], iter(zip(surfaces, spaces_mm, strict=True))

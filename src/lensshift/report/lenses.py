@@ -217,7 +217,7 @@ def _draw_names(axes: Axes, section: Layout, moved: Polyline, mm_per_pt: float) 
     lines = [*section.outlines, *section.stop, moved]
     top_mm = max(float(line.height_mm.max()) for line in lines)
     low_mm = min(float(line.height_mm.min()) for line in lines)
-    names = [("stop", section.stop[0], -1)]
+    names = [("virtual stop" if section.virtual_stop else "stop", section.stop[0], -1)]
     names += [
         (f"{number + 1} {name}", line, -1 if number % 2 else 1)
         for number, (name, line) in enumerate(zip(section.names, section.outlines, strict=True))
