@@ -229,6 +229,11 @@ def test_a_half_ball_reaches_to_its_equator() -> None:
         ),
         ("PWAV 1", "PWAV 1\nTELE 1", "that the object space is telecentric is left out"),
         ("PWAV 1", "PWAV 1\nAFOC 1", "that the image is afocal is left out"),
+        ("PWAV 1", "PWAV 1\nFTYP 1 1 1 1 0 0 0", "that the object space is telecentric is left"),
+        ("PWAV 1", "PWAV 1\nFTYP 0 0 1 1 0 0 1", "that the image is afocal is left out"),
+        ("PWAV 1", "PWAV 1\nGFAC 1 2", "brighter in the middle of the pupil is taken as even"),
+        ("PWAV 1", "PWAV 1\nGFAC 2 0", "brighter in the middle of the pupil is taken as even"),
+        ("PWAV 1", "PWAV 1\nVCYN 0 0.3", "vignetting factors are left out"),
         ("  DISZ 0", "  DISZ 4", "surface 3, the last, has more behind it"),
         ("  STOP", "  STOP\n  CLAP 0 5 0\n  OBDC 0 20", "surface 1: its aperture lies aside"),
     ],
@@ -279,6 +284,12 @@ def test_without_an_aperture_the_stop_is_as_wide_as_its_surface() -> None:
     with pytest.warns(QualityWarning, match="no aperture is given"):
         lens = parse_zmx(text.replace("ENPD 10", ""))
     same_rays(parse_zmx(text.replace("ENPD 10", "FLOA")), lens)
+
+
+def test_a_cone_from_infinitely_far_is_said_to_mean_nothing() -> None:
+    with pytest.warns(QualityWarning, match=r"^a cone from infinitely far is given: [^;]*$"):
+        lens = parse_zmx(zmx(*SINGLET, aperture="OBNA 0.1 0"))
+    assert lens.stop.diameter_mm == 24.0
 
 
 def test_a_file_that_is_cut_off_is_refused() -> None:

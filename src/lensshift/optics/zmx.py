@@ -28,7 +28,8 @@ from lensshift.optics.zmx_shapes import MOST_PARAMETERS, is_traced, shape
 
 _LENGTHS_MM = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
 _FAR_MM = 1e9  # programs write such a distance for infinity
-_LEFT_OUT = {"TELE": "that the object space is telecentric", "AFOC": "that the image is afocal"}
+_TELECENTRIC, _AFOCAL = "that the object space is telecentric", "that the image is afocal"
+_LEFT_OUT = {"TELE": {0: _TELECENTRIC}, "AFOC": {0: _AFOCAL}, "FTYP": {1: _TELECENTRIC, 6: _AFOCAL}}
 _DEFAULT_GLASS = (1.5, 40.0)  # index and Abbe number that are written where none are known
 
 
@@ -138,8 +139,13 @@ def _read_line(content: _File, words: list[str], line: int) -> None:
         _read_surroundings(content, values)
     elif key == "FLOA" or (key == "ENPD" and float(values[0]) == 0):  # the latter: none is set
         content.aperture = ("FLOA", 0.0)
-    elif key in _LEFT_OUT and values[:1] == ["1"]:
-        content.notes.append(f"{_LEFT_OUT[key]} is left out")
+    elif key in _LEFT_OUT:
+        left_out = (what for at, what in _LEFT_OUT[key].items() if values[at : at + 1] == ["1"])
+        content.notes += [f"{what} is left out" for what in left_out]
+    elif key == "GFAC" and any(map(float, values[1:2] if values[0] == "1" else values[:1])):
+        content.notes.append("light that is brighter in the middle of the pupil is taken as even")
+    elif key in ("VDXN", "VDYN", "VCXN", "VCYN") and any(map(float, values)):
+        content.notes.append("vignetting factors are left out: semi-diameters stop the light")
     elif key in ("ENPD", "FNUM", "OBNA"):
         value = float(values[0])
         if not value > 0:
@@ -263,8 +269,14 @@ def _lens(content: _File) -> Lens:
     if content.primary not in content.wavelengths_um:
         raise DataError(f"expected a wavelength number {content.primary}", field="PWAV")
     wavelength_nm = 1e3 * content.wavelengths_um[content.primary]
-    if content.aperture is None:
-        content.notes.append("no aperture is given: the stop is taken as wide as its surface")
+    seen = content.entries[0]
+    if seen.distance_mm >= _FAR_MM:
+        seen.distance_mm = math.inf
+    far = math.isinf(seen.distance_mm)
+    if content.aperture is None or (content.aperture[0] == "OBNA" and far):
+        what = "no aperture" if content.aperture is None else "a cone from infinitely far"
+        content.notes.append(f"{what} is given: the stop is taken as wide as its surface")
+        content.aperture = None
     for entry in content.entries[1:-1]:
         shape(entry, content.mm)
         if entry.glass:
@@ -277,12 +289,10 @@ def _lens(content: _File) -> Lens:
     if image.curvature_per_mm or shaped:
         how = "curved" if image.curvature_per_mm else f"of type {image.type}"
         content.notes.append(f"the image surface is {how}: taken as the plane at its vertex")
-    if content.entries[0].curvature_per_mm and math.isfinite(content.entries[0].distance_mm):
+    if seen.curvature_per_mm and not far:
         content.notes.append("the object is curved: taken as the plane at its vertex")
     if image.distance_mm:
         content.notes.append(f"surface {image.number}, the last, has more behind it: a part?")
-    if content.entries[0].distance_mm >= _FAR_MM:
-        content.entries[0].distance_mm = math.inf
     lens = lens_of_entries(
         content.entries,
         _frames(content.entries),
@@ -303,7 +313,7 @@ def _carry_obstructions(content: _File) -> None:
     That is exact for light from infinitely far along the axis; elsewhere it is left out.
     """
     hidden: Entry | None = None
-    far = content.entries[0].distance_mm >= _FAR_MM
+    far = math.isinf(content.entries[0].distance_mm)
     for before, entry in pairwise(content.entries[:-1]):
         optical = entry.glass or (entry.mirror and entry.curvature_per_mm)
         if hidden is not None and optical:
