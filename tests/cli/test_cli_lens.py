@@ -10,7 +10,7 @@ from stand_in import Call, Refused, answer
 from lensshift.core.grid import Grid
 from lensshift.io import load_burst, load_lens_field
 from lensshift.optics.lens import Element, Lens, Stop, Surface
-from lensshift.optics.lens_file import save_lens
+from lensshift.optics.lens_file import load_lens, save_lens
 from lensshift.optics.spots import spots
 from lensshift.optics.which import edge_fields
 
@@ -97,6 +97,20 @@ def test_what_moves_is_the_first_element_that_can(call: Call, tmp_path: Path) ->
     assert np.abs(travel_mm[0] / (0.25 * np.array([0.07, 0.045]))) == pytest.approx(1.0, abs=0.05)
     told = call("lens", "field", lens, *odd, "--element", "0").stdout
     assert told.startswith("window first, shift of the sensor, 13 x 9 pixels of 0.07 x 0.045 mm")
+
+
+def test_a_lens_out_of_focus_is_told(call: Call, tmp_path: Path) -> None:
+    away = tmp_path / "away.toml"
+    lens = load_lens("al2550")
+    save_lens(lens.with_sensor(lens.gaps_mm[-1] - 20.0), away)
+    said = re.compile(
+        r"out of focus, with a spot of \d[^ ]* px rms in the middle.* lies \+(\d+)\S* mm"
+    )
+    for verb in ("mtf", "which", "budget"):
+        found = said.search(" ".join(call("lens", verb, away).stderr.split()))
+        assert found is not None
+        assert 18 < int(found[1]) < 22
+    assert "out of focus" not in call("lens", "mtf", "al2550").stderr
 
 
 def test_mtf_is_below_the_diffraction_limit(call: Call, tmp_path: Path) -> None:

@@ -189,8 +189,8 @@ def which(current: Session, asked: _WhichOptions) -> None:
     """Compare what can move: each element decentred or tilted, a tilted plate, the sensor.
 
     Stroke, evenness of the shift, cross-talk between the axes, MTF. The least MTF is that over the
-    centre, edges and corners, two directions and four diagonal moves, without refocus; px per um
-    is shift over stroke at the centre of the sensor, gain the same in mm per mm for paraxial rays.
+    centre, edges and corners, four directions and four diagonal moves, without refocus; px per um
+    is shift over stroke at the centre of the sensor, gain the same in mm per mm.
 
     \b
     Example:

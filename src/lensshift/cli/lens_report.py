@@ -17,7 +17,7 @@ from lensshift.cli.verbs import option, verb
 
 if TYPE_CHECKING:
     from lensshift.core.grid import Grid
-    from lensshift.core.lens_field import LensField, Motion
+    from lensshift.core.lens_field import LensField
     from lensshift.optics.lens import Lens
     from lensshift.optics.mtf import Band
     from lensshift.report.page import Page
@@ -202,10 +202,9 @@ def field(current: Session, asked: _FieldOptions) -> None:
     if asked.tilt and asked.element == 0:
         raise typer.BadParameter("--tilt is of an element, counted from 1, not of the sensor")
     moved = None if asked.element == 0 else optics.element_of(model, asked.element)
-    motion: Motion | None = "tilt" if asked.tilt else None
     grid = _grid(asked)
     with Progress("tracing") as progress:
-        told: dict[str, Any] = {"motion": motion, "reach_px": reach_px}
+        told: dict[str, Any] = {"motion": "tilt" if asked.tilt else None, "reach_px": reach_px}
         found = lens_field(model, grid, moved, on_progress=progress.count, **told)
     found = replace(found, lens=found.lens or Path(asked.lens).stem)
     if out is not None:
@@ -232,9 +231,8 @@ def say_field(current: Session, found: LensField) -> None:
     rows, cols = found.grid.shape
     pitch_mm, scale = found.grid.pitch_mm, (1e3 if found.unit == "mm" else 1.0)
     unit = "um" if found.unit == "mm" else found.unit
-    what = "shift of the sensor"
-    if found.element is not None:
-        what = f"{found.motion} of element {found.element + 1}"
+    number = None if found.element is None else found.element + 1
+    what = f"{found.motion} of element {number}" if number else "shift of the sensor"
     current.say(
         f"{found.lens}, {what}, {cols} x {rows} pixels of {pitch_mm[0]:g} x {pitch_mm[1]:g} mm"
     )
@@ -246,7 +244,7 @@ def say_field(current: Session, found: LensField) -> None:
         f"fit: shift {found.shift_error_px:.1e} px, width of the spot {found.spot_error_px:.1e} "
         f"px, contrast of a spot of such moments {found.contrast_error:.3f} (largest errors)"
     )
-    current.result["element"] = None if found.element is None else found.element + 1
+    current.result["element"] = number
     current.tell(found.grid, "shape pitch_mm")
     current.tell(found, "lens motion reach unit shift_error_px spot_error_px contrast_error")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -87,7 +88,13 @@ class MovedLensOptions(LensOptions):
 
 def opened(asked: LensOptions) -> tuple[Lens, Grid]:
     """Return the lens and the grid of its sensor."""
-    return read_lens(asked.lens, asked.light), sensor_grid(asked.sensor)
+    from lensshift.optics.field import out_of_focus
+
+    lens, grid = read_lens(asked.lens, asked.light), sensor_grid(asked.sensor)
+    with suppress(ValueError):  # without power or light, which verbs tell that need it
+        if told := out_of_focus(lens, grid):
+            warn_quality(f"the lens is out of focus, with {told}", 2)
+    return lens, grid
 
 
 def opened_moving(asked: MovedLensOptions) -> tuple[Lens, Grid, int]:
@@ -128,11 +135,8 @@ def parse_fields_tan(texts: list[str] | None) -> list[tuple[float, float]]:
         parse_numbers(text, 2, "a field like 1.6,6.5 (row,col in degrees)")
         for text in texts or ("0,0", "1.6,6.5")
     ]
-    return [(_tangent(row_deg), _tangent(col_deg)) for row_deg, col_deg in fields_deg]
-
-
-def _tangent(angle_deg: float) -> float:
-    return math.tan(math.radians(in_range("field_deg", angle_deg)))
+    angles = ([math.radians(in_range("field_deg", one)) for one in pair] for pair in fields_deg)
+    return [(math.tan(row_rad), math.tan(col_rad)) for row_rad, col_rad in angles]
 
 
 def band_of(wavelength_nm: float, band_nm: float | None) -> Band | None:

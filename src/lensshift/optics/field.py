@@ -113,13 +113,16 @@ def lens_field(
 
 def check_focus(lens: Lens, grid: Grid) -> None:
     """Refuse before the work a lens without power, or whose spot leaves no contrast to describe."""
+    if told := out_of_focus(lens, grid):
+        raise ValueError(f"expected a lens in focus, got {told}")
+
+
+def out_of_focus(lens: Lens, grid: Grid) -> str:
+    """Return in words that the spot of a lens leaves no contrast, or nothing."""
     away_mm = paraxial(lens).image_mm - lens.gaps_mm[-1]
     width_px = float(spots(lens, np.zeros(2)).rms_radius_mm) / (2**0.5 * max(grid.pitch_mm))
-    if width_px > _WIDEST_PX:
-        raise ValueError(
-            f"expected a lens in focus, got a spot of {width_px:.3g} px rms in the middle of the "
-            f"sensor: the paraxial image of the object lies {away_mm:+.4g} mm from it"
-        )
+    told = f"a spot of {width_px:.3g} px rms in the middle of the sensor: the paraxial image of "
+    return told + f"the object lies {away_mm:+.4g} mm from it" if width_px > _WIDEST_PX else ""
 
 
 def _fitted(mover: _Mover, told: Callable[[int, int], None] | None) -> tuple[LensField, float]:

@@ -187,9 +187,8 @@ class _Bench:
 
     def stopped(self, lens: Lens) -> Lens:
         """Return the lens with the stop that gives the f-number, at this share of it."""
-        data = paraxial(lens)
         pupil_mm = self.share * self.task.focal_length_mm / self.task.f_number
-        wide_mm = lens.stop.diameter_mm * pupil_mm / data.entrance_pupil_diameter_mm
+        wide_mm = lens.stop.diameter_mm * pupil_mm / paraxial(lens).entrance_pupil_diameter_mm
         if any(one.inner_mm for one in lens.surfaces):
             raise ValueError(
                 "expected a lens without obstructions (inner_mm): edges are not refined"

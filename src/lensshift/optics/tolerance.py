@@ -20,7 +20,7 @@ from lensshift.optics.refocus import COARSE, FocusScan
 from lensshift.optics.shift import decenter_for_shift
 from lensshift.optics.spots import obstruction
 from lensshift.optics.trace import Build, trace
-from lensshift.optics.which import POSITIONS, edge_fields, judged_lpmm
+from lensshift.optics.which import DIAGONALS, POSITIONS, edge_fields, judged_lpmm
 
 # Rings of rays: a build gets more until none of its MTF changes by as much.
 _RINGS, _SURE = (3, 4, 6, 9, 14, 20), 5e-3
@@ -285,14 +285,11 @@ class _Bench:
                 f"expected positive shift_px and refocus_mm, got {shift_px} and {refocus_mm}"
             )
         self.lens, self.pitch_mm = lens, np.asarray(grid.pitch_mm)
-        self.frequency_lpmm = judged_lpmm(grid, frequency_lpmm)
-        self.refocus_mm = refocus_mm
-        depth_mm = paraxial(lens).working_f_number / self.frequency_lpmm
-        self.coarse_mm = COARSE * depth_mm
+        self.frequency_lpmm, self.refocus_mm = judged_lpmm(grid, frequency_lpmm), refocus_mm
+        self.coarse_mm = COARSE * (paraxial(lens).working_f_number / self.frequency_lpmm)
         self.fields = edge_fields(lens, grid)
         self.moves = np.zeros((len(POSITIONS), 1, len(lens.elements), 2))
-        moves_mm = decenter_for_shift(lens, element, shift_px * POSITIONS[1:], grid)
-        self.moves[1:, 0, element] = moves_mm
+        self.moves[1:, 0, element] = decenter_for_shift(lens, element, shift_px * DIAGONALS, grid)
         self.inner = obstruction(lens)
 
     def measure(self, build: Build) -> tuple[Floats, Floats, Floats]:
