@@ -482,6 +482,14 @@ def test_entries_of_catalogues_that_go_on_in_further_lines() -> None:
     assert parse_agf(wrapped) == parse_agf(AGF)
 
 
+@pytest.mark.parametrize("dash", ["-", "_"])
+def test_thermal_constants_that_are_dashes_are_unknown(dash: str) -> None:
+    left = re.sub(r"^TD .*$", " ".join(["TD", *[dash] * 7]), AGF, flags=re.MULTILINE)
+    plain = re.sub(r"^TD .*\n", "", AGF, flags=re.MULTILINE)
+    assert parse_agf(left) == parse_agf(plain)
+    assert len(parse_agf(left)) == AGF.count("NM ")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -110,8 +110,8 @@ def _glass(lines: dict[str, tuple[int, list[str]]]) -> tuple[str, Glass]:
         number, constants = lines["CD"]
         values = [float(word) for word in constants[: CONSTANT_COUNTS[formula]]]
         number, thermal = lines.get("TD", (number, []))
-        # Without all of them, and with "_" for a number, the change is not known.
-        known = len(thermal) >= 6 and "_" not in thermal[:6]
+        # Without all of them, and with "_" or "-" for a number, the change is not known.
+        known = len(thermal) >= 6 and not {"_", "-"} & set(thermal[:7])
         number, span = lines["LD"]
         low_um, high_um = (float(word) for word in span[:2])
         return name, Glass(
