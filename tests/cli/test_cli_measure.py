@@ -181,7 +181,7 @@ def test_pictures_of_other_pixels_are_not_compared(
     np.save(tmp_path / "fine.npy", edge(2, sigma_px=0.4))
     files = {pitch: tmp_path / f"{pitch}.nc" for pitch in (0.1, 0.1005, 0.2)}
     for pitch, path in files.items():
-        frames = np.stack([edge(noise=0.0), edge(noise=0.0)])
+        frames = np.stack(2 * [edge(noise=0.02 * pitch)])  # two captures, not one twice
         save_burst(Burst.from_arrays(frames, offset_px=np.zeros((2, 2)), pitch_mm=pitch), path)
     one, alike, other = files.values()
     beside = "--cycles", "9", "--edge"
@@ -307,6 +307,7 @@ def test_depth_alone(call: Call, tmp_path: Path) -> None:
     [
         (["gain", "edge.npy", "odd.npy"], 1, "whole multiple"),
         (["gain", "edge.npy", "edge.npy", "--csv", "edge.npy"], 2, "would overwrite the input"),
+        (["gain", "edge.npy", "edge.npy"], 1, "expected two images, got one twice"),
         (["gradient", "edge.npy", "--region", "0,99,0,9"], 1, "within 16 rows and 40 columns"),
         (["gradient", "edge.npy", "--share", "0.7"], 1, "a share above 0 and below 0.5"),
         (["gradient", "edge.npy", "--share", "0"], 1, "a share above 0 and below 0.5"),

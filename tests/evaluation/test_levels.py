@@ -37,6 +37,7 @@ def test_a_measured_curve_is_undone_between_its_points() -> None:
         ([1.0, 2.0], "expected an OECF"),
         ([[0.0, 0.0], [1.0, -1.0]], "rising"),
         ([[0.0, 0.0], [3.0, 1.0]], "knows levels from 0 to 3"),
+        ([[0.0, -2.0], [9.0, 0.0]], "log10 of the exposure"),
     ],
 )
 def test_curves_that_are_none(curve: object, message: str) -> None:

@@ -59,6 +59,8 @@ def gain(current: Session, asked: _GainOptions) -> None:
         below = images.measured_image(coarse, asked.pitch_mm, key=of_coarse, frame=asked.frame)
         below = replace(below, offset_px=below.frame_px)
     above, scale = images.finer(images.measured_image(fine, None, key=of_fine), below)
+    if scale == 1 and (above.values == below.values).all():
+        raise ValueError(f"expected two images, got one twice: {fine} holds what {coarse} does")
     images.slices_of(place, below.values.shape[-2:])  # which refuses it in pixels of COARSE
     with _in_file(coarse):
         edges = edges_of(below, place)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from lensshift.core.arrays import Floats
 from lensshift.core.errors import warn_quality
 from lensshift.evaluation.inputs import check_finite, real_array
+from lensshift.evaluation.limits import first_fall
 
 Limits = Literal["range", "literal"]
 Plateaus = Literal["median", "extremes"]
@@ -214,7 +215,8 @@ def profile_edge(
     start = int(below[-1])  # the last low sample before the edge
     middle = (low_limit + high_limit) / 2
     low_mm, middle_mm, high_mm = (
-        _rise_mm(place_mm, values, start, level) for level in (low_limit, middle, high_limit)
+        first_fall(place_mm[start:], level - values[start:])
+        for level in (low_limit, middle, high_limit)
     )
     sign = -1.0 if falling else 1.0
     places_mm = sign * low_mm, sign * high_mm, sign * middle_mm
@@ -276,14 +278,6 @@ def _limit_values(low: float, high: float, limits: Limits, share: float) -> tupl
             f"here it is {low / high:.3f}; take limits='range'"
         )
     return low_limit, high_limit
-
-
-def _rise_mm(place_mm: Floats, values: Floats, start: int, level: float) -> float:
-    """Return where the profile first reaches a level after `start`, by linear interpolation."""
-    after = start + 1 + int(np.flatnonzero(values[start + 1 :] >= level)[0])
-    before = after - 1
-    share = (level - values[before]) / (values[after] - values[before])
-    return float(place_mm[before] + share * (place_mm[after] - place_mm[before]))
 
 
 def _phases_suffice(positions_px: list[float]) -> bool:

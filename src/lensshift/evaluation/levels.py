@@ -47,6 +47,8 @@ def linear_light(
         raise ValueError(f"expected an OECF [n 2] of (level, light), got shape {table.shape}")
     if np.any(np.diff(table, axis=0) <= 0):
         raise ValueError("expected an OECF with rising levels and rising light")
+    if table[0, 1] < 0.0:
+        raise ValueError("expected an OECF of light, got less than 0: is it log10 of the exposure?")
     low, high = table[0, 0], table[-1, 0]
     known = light[np.isfinite(light)]
     if known.size and (known.min() < low or known.max() > high):
