@@ -223,6 +223,7 @@ def test_a_curve_that_falls_faster_on_one_side_is_followed(photographs: int, sid
         ([0, 1], [1, 2], "three positions"),
         ([0, 1, 2], [1, 2, np.nan], "three positions"),
         ([0, 1, 2], [1, 2, 3], "go on there"),
+        ([0.0, 0.0, 1.0, 2.0], [0.30, 0.31, 0.25, 0.2], "first or last"),
     ],
 )
 def test_series_without_a_best_focus(focus: list[float], mtf50: list[float], message: str) -> None:

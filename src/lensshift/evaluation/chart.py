@@ -181,7 +181,7 @@ def best_focus(
     if len(np.unique(x)) < 3:
         raise ValueError(f"expected three positions of the focus or more, got {len(np.unique(x))}")
     top = int(np.argmax(y))
-    if top in (0, len(x) - 1):
+    if x[top] in (x[0], x[-1]):  # of which there may be several
         raise ValueError("the sharpest photograph is the first or last of the series; go on there")
     fit, low, high = None, -np.inf, np.inf
     for reach in range(2, max(top, len(x) - 1 - top, 2) + 1):
