@@ -210,6 +210,31 @@ def test_an_edge_that_tells_no_profile_is_named_and_not_used(image: Image, messa
     assert any(message in note for note in found.notes)
 
 
+@pytest.mark.parametrize(("apart_px", "share"), [(5, 0.5), (6, 0.3), (11, 0.4), (17, 0.3)])
+def test_an_edge_seen_double_is_not_used(apart_px: float, share: float) -> None:
+    """Its MTF50 was 70 to 90 % too low; doubled in equal parts, there was not a word."""
+    for noise in (0.002, 0.03):
+        image = (1.0 - share) * step(-4.0) + share * step(apart_px - 4.0)
+        found = measure_edge(0.2 + noisy(image, noise), region=(0, SHAPE[0], 0, SHAPE[1]))
+        assert not found.usable
+        told = " ".join(found.notes)
+        assert float(told.split("rises twice, ")[1].split(" px")[0]) == pytest.approx(apart_px, 0.1)
+
+
+@pytest.mark.parametrize("blur_px", [1.0, 4.0])
+def test_a_ghost_a_long_tail_and_a_shaken_picture_are_blur(blur_px: float) -> None:
+    """Also where light gathers at both ends of the blur, as of a lens that swings."""
+    turn = np.pi * (np.arange(400) + 0.5) / 400
+    shaken = np.mean([step(blur_px * float(x)) for x in np.cos(turn)], axis=0)
+    ghost = 0.9 * step(-2.0) + 0.1 * step(8.0)
+    tail = np.mean([step(-blur_px * float(np.log(x / np.pi)) - 4.0) for x in turn], axis=0)
+    for image in (shaken, ghost, tail):
+        for noise in (0.002, 0.06):
+            found = measure_edge(0.2 + noisy(image, noise), region=(0, SHAPE[0], 0, SHAPE[1]))
+            assert not any("rises twice" in note for note in found.notes)
+            assert found.usable
+
+
 @pytest.mark.parametrize("dark", [40.25, 40.75])
 def test_the_rarer_number_of_a_plateau_counts_as_its_share(dark: float) -> None:
     """Noise of 0.3 steps: four in five pixels are rounded down, and the level is nearer to them."""

@@ -6,9 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lensshift.core.arrays import Array, Floats
+from lensshift.core.errors import warn_quality
 from lensshift.core.units import LUMINANCE
 
 CHANNELS = ("luminance", "red", "green", "blue")
+_MOST_OF_8_BITS = 256  # some count one more
+_LEAST_USED = 1.0 / 15.0  # of the levels of a table; 12 bits are a sixteenth of 16
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 
 
@@ -29,7 +32,13 @@ def linear_light(
     Raises
     ------
     ValueError
-        If the curve is neither a positive number nor a rising table that reaches all levels.
+        If the curve is neither a positive number nor a rising table of light that reaches all
+        levels.
+
+    Warns
+    -----
+    QualityWarning
+        If table and image seem to count levels in different units.
     """
     values = np.asarray(levels)
     light = values.astype(np.float64)
@@ -55,6 +64,13 @@ def linear_light(
         raise ValueError(
             f"the OECF knows levels from {low:g} to {high:g}, the image has "
             f"{known.min():g} to {known.max():g}"
+        )
+    kind, used = values.dtype.kind, known.max(initial=low)
+    least = {"u": _LEAST_USED * high, "f": min(_LEAST_USED * high, 1.01)}.get(kind, low)
+    if high > _MOST_OF_8_BITS if values.dtype == np.uint8 else used < least:
+        warn_quality(
+            f"the image has levels to {used:g}, the OECF knows {high:g}: are they in one unit (8, "
+            "12 or 16 bits, or shares of white)?"
         )
     return np.asarray(np.interp(light, table[:, 0], table[:, 1]))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lensshift.evaluation.slanted_edge.edge_model import Vector
 from lensshift.evaluation.slanted_edge.noise_model import NOISELESS
-from lensshift.evaluation.slanted_edge.result import EdgeResult
+from lensshift.evaluation.slanted_edge.result import EdgeResult, Profile
 
 Numbers = NDArray[np.intp]
 
@@ -21,6 +21,8 @@ _LARGEST_ASYMMETRY = 0.005
 _LARGEST_ALIASING_PX = 0.03
 _LARGEST_APART_PX = 0.1  # rms: as a blur, it takes 2 % of the contrast at 0.3 cycles a pixel
 _LEAST_BEND_PX = 0.05
+_SECOND_SHARE = 0.2  # of the contrast, and of the slope; a ghost has a tenth
+_LEVEL_SHARE = 0.1  # of the slope of a second rise: between two edges it falls so far
 _LARGEST_TURN_DEG = 15.0  # from the middle of an edge to its ends; distortion turns far less
 _LEAST_LINES = 8
 _LARGEST_RISE = 0.5  # of the extent of the region across the edge
@@ -33,16 +35,17 @@ _NO_NOISE = 1e-6  # of the contrast: rounding to 16 bits alone is 4e-6
 
 def doubted(
     result: EdgeResult, lines: int, gap_px: float, values: Vector, out: int = 0,
-    apart_px: float = 0.0,
+    apart_px: float = 0.0, lsf: Profile | None = None,
 ) -> EdgeResult:  # fmt: skip
     """Return the result with what speaks against it.
 
     Levels, clipping, how the lines cross the pixels and frames that do not lie on one another
     make an edge unusable; what its profile shows may be true of the whole image. `out` pixels stand
     out and were left out; from frame to frame the edge moves by `apart_px` beside the offsets.
+    `lsf` is that of a model over the whole region.
     A low contrast or a small angle says nothing by itself: noise and phases do.
     """
-    found = _shape(values, result, out)
+    found = _shape(values, result, out, lsf)
     if result.dark + result.bright <= 0.0:
         found.append(
             f"the levels of the edge, {result.dark:.3g} and {result.bright:.3g}, are not positive: "
@@ -87,7 +90,7 @@ def doubted(
     return replace(result, notes=tuple(found), usable=usable)
 
 
-def _shape(values: Vector, result: EdgeResult, out: int) -> list[str]:
+def _shape(values: Vector, result: EdgeResult, out: int, lsf: Profile | None) -> list[str]:
     """Of black and white alone, without plateaus or among others a profile is the model's own."""
     found = []
     share = out / max(out + values.size, 1)
@@ -113,7 +116,30 @@ def _shape(values: Vector, result: EdgeResult, out: int) -> list[str]:
             f"the levels of the edge, {result.dark:.3g} and {result.bright:.3g}, lie beyond all "
             f"pixels ({low:.3g} to {high:.3g}): no plateau is seen; choose a wider region"
         )
+    if lsf is not None and (apart_px := second_rise_px(lsf)):
+        found.append(
+            f"the edge rises twice, {apart_px:.1f} px apart, and is level in between: two edges, "
+            "or a picture seen double; choose a region around one edge"
+        )
     return found
+
+
+def second_rise_px(lsf: Profile) -> float:
+    """Return how far a second rise lies from the steepest one; 0 if there is none.
+
+    Blur of one edge, of whatever shape, does not fall to nothing before it rises as much again.
+    """
+    place_px, slope = lsf.normal_px, lsf.value
+    first, light = int(np.argmax(slope)), slope * np.gradient(place_px)
+    for side in (np.s_[first:], np.s_[first::-1]):
+        rise, beyond = slope[side], light[side][::-1].cumsum()[::-1]
+        lowest = np.minimum.accumulate(rise)
+        again = (rise >= _SECOND_SHARE * rise[0]) & (lowest <= _LEVEL_SHARE * rise)
+        second = int(np.argmax(np.where(again, rise, 0.0)))
+        between = int(np.argmin(rise[: second + 1]))
+        if again.any() and beyond[between] >= _SECOND_SHARE * light.sum():
+            return float(abs(place_px[side][second] - place_px[first]))
+    return 0.0
 
 
 def _clipping(values: Vector, result: EdgeResult) -> list[str]:

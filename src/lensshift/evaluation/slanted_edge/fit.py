@@ -16,6 +16,7 @@ from lensshift.evaluation.slanted_edge.likelihood import EdgeLikelihood
 from lensshift.evaluation.slanted_edge.lsf_prior import PLACE
 from lensshift.evaluation.slanted_edge.noise_model import NoiseModel
 from lensshift.evaluation.slanted_edge.prepare import UprightEdge
+from lensshift.evaluation.slanted_edge.result import Profile
 
 DRAWS = 256  # draws of the whole edge
 _ESF_HALF_WIDTH = 6.0  # of the printed profiles, in units of the edge's width
@@ -45,6 +46,7 @@ class EdgeFit:
     esf: Matrix  # [d k] from 0 (dark) to 1 (bright)
     lsf: Matrix  # [d k] per pixel
     residual: Vector  # [n] pixels minus model, in units of the contrast
+    whole: Profile  # the LSF of the optimum over all of the region
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,9 @@ def fit_edge(edge: UprightEdge, frequency_cpp: Vector, asked: LikelySettings) ->
     level, coefficient = levels[:, 0], coefficients[:, 0]  # of the optimum
     height = float(level[likelihood.gathered.response] + likelihood.basis.area_px @ coefficient)
     left, dark = edge.scaled - likelihood.model_of(drawn.best, level, coefficient), float(level[0])
-    return EdgeFit(edge, noise, geometry, dark, height, transform, normal_px, esf, lsf, left)
+    rise = _slope(likelihood, drawn.best, level, coefficient) / height
+    whole = Profile(likelihood.gathered.nodes.place_px, rise)
+    return EdgeFit(edge, noise, geometry, dark, height, transform, normal_px, esf, lsf, left, whole)
 
 
 def _placed(
@@ -130,10 +134,11 @@ def _placed(
             wanted = _moved(likelihood, best[:, None], levels[:, None])[:, 0]
             found, least, parameters = (value, likelihood, best), value, best
             directions = rounder
-            slope = _slope(likelihood, best, levels, coefficients)
+            back = best.copy()
+            back[PLACE] = 0.0  # the nodes follow the base, next time
+            slope = _slope(likelihood, back, levels, coefficients)
             if k == 0:  # the splines follow it once; an uneven shape would draw them on and on
-                parameters = best.copy()
-                parameters[PLACE] = 0.0
+                parameters = back
             else:
                 wanted = np.concatenate([wanted[:1], geometry[1:2], wanted[2:]])
             here, last_px, step = geometry, step_px, wanted - geometry
@@ -167,12 +172,11 @@ def _known(likelihood: EdgeLikelihood, parameters: Vector) -> tuple[Vector, Vect
 def _slope(
     likelihood: EdgeLikelihood, parameters: Vector, levels: Vector, coefficients: Vector
 ) -> Vector:
-    """Return the LSF at the nodes, its base moved back to the middle."""
+    """Return the LSF at the nodes, times the contrast."""
     nodes, response = likelihood.gathered.nodes, likelihood.gathered.response
-    half_px, back = 0.5 * _ESF_STEP * likelihood.unit_px, parameters.copy()
-    back[PLACE] = 0.0
-    ahead = likelihood.base.response(nodes.place_px + half_px, back)
-    behind = likelihood.base.response(nodes.place_px - half_px, back)
+    half_px = 0.5 * _ESF_STEP * likelihood.unit_px
+    ahead = likelihood.base.response(nodes.place_px + half_px, parameters)
+    behind = likelihood.base.response(nodes.place_px - half_px, parameters)
     base = (ahead - behind) / (2.0 * half_px)
     return np.asarray(levels[response] * base + nodes.values @ coefficients)
 

@@ -45,7 +45,7 @@ def measure_likely(
     gap_px = largest_phase_gap_px(lines, float(edge.geometry[0]))
     count = np.unique(np.round(lines, 6)).size
     apart_px = _moves_px(fit, edge.pixels.places[:, 0])
-    return doubted(result, count, gap_px, edge.pixels.values, out, apart_px)
+    return doubted(result, count, gap_px, edge.pixels.values, out, apart_px, fit.whole)
 
 
 def _with_losses(fit: EdgeFit, frequency_cpp: Vector, settings: LikelySettings) -> EdgeFit:
