@@ -21,6 +21,7 @@ from lensshift.core.units import (
 )
 from lensshift.reconstruction.phasor import PhasorFrames, flying_pixels, phasor_from_phases
 from lensshift.reconstruction.phasor.channel import NO_PHASE_RAD
+from lensshift.reconstruction.phasor.common_light import phase_drift
 from lensshift.reconstruction.phasor.frames import polar_frames
 from lensshift.reconstruction.photometry import lights
 
@@ -475,6 +476,51 @@ def test_light_that_differs_between_frames_is_allowed_for_and_said(kind: str, se
     assert np.mean(apart_m < np.asarray(other["distance"].std)) > 0.98
     predicted = found["amplitude"].predict(int(bright))
     assert np.median(predicted / np.abs(uneven.amplitude[bright])) == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.parametrize("kind", ["polar", "unwrapped", "complex", "frequencies"])
+def test_distances_that_drift_between_frames_are_allowed_for_and_said(kind: str) -> None:
+    """They were averaged at surfaces, with nothing in std, and mixed at edges."""
+    even = card_burst(0.004)
+    z, drift_m = polar_frames(even).phasor, np.array([0.01, -0.03, 0.0, 0.05])
+    turned, twice = (
+        np.exp(1j * distance_to_phase(drift_m, hz))[:, None, None] for hz in (F_HZ, 2 * F_HZ)
+    )
+    if kind == "complex":
+        even = Burst.from_arrays(z, offset_px=OFFSETS, pitch_mm=0.1, modulation_hz=F_HZ)
+        drifting = replace(even, amplitude=z * turned)
+    elif kind == "frequencies":
+        both = np.stack([z, z**2 / np.abs(z)])
+        told = {"offset_px": OFFSETS, "pitch_mm": 0.1, "modulation_hz": (F_HZ, 2 * F_HZ)}
+        even = Burst.from_arrays(both, **told)
+        drifting = Burst.from_arrays(both * np.stack([turned, twice]), **told)
+    else:
+        beyond_m = RANGE_M if kind == "unwrapped" else 0.0
+        even = replace(even, distance_m=even.distance_m + beyond_m)
+        drifting = replace(even, distance_m=even.distance_m + drift_m[:, None, None])
+    with pytest.warns(QualityWarning, match="frame 3 are .* than those of frame 1") as said:
+        found = reconstruct(drifting)
+    assert [one.filename for one in said] == [__file__]
+    left_m = found["distance"].notes["drift_m"] - (drift_m - np.median(drift_m))
+    np.testing.assert_allclose(left_m, 0, atol=0.008)  # four errors of a median
+    apart_m = images(found)[1] - images(reconstruct(even))[1] - np.median(drift_m)
+    assert np.median(np.abs(apart_m)) < 0.008
+    std_m = np.asarray(found["distance"].std)
+    assert std_m.min() > np.std(drift_m, ddof=1) / 2
+
+
+@pytest.mark.parametrize("seed", range(20, 30))
+def test_what_moves_or_a_shift_that_is_off_is_no_drift_of_distances(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    noise = rng.standard_normal((2, 4, *SHAPE))
+    off_px = OFFSETS + 0.04 * rng.standard_normal(OFFSETS.shape)
+    still = np.stack([pixel_means(at, 1) for at in off_px]) + 0.002 * (noise[0] + 1j * noise[1])
+    told = {"offset_px": OFFSETS, "pitch_mm": 0.1, "modulation_hz": F_HZ}
+    moved = still.copy()
+    moved[2:, :, 3:7] = 0.4 * np.exp(1j * rng.uniform(0, 6)) + 0.002 * noise[0, 2:, :, :4]
+    assert np.all(phase_drift(Burst.from_arrays(moved, **told), 0) == 0)
+    drifts = still * np.exp(1j * rng.uniform(-0.5, 0.5, 4))[:, None, None]
+    assert np.any(phase_drift(Burst.from_arrays(drifts, **told), 0) != 0)
 
 
 @pytest.mark.parametrize("seed", range(20, 30))

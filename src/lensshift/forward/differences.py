@@ -150,19 +150,8 @@ def _add_weighted_laplacian(x: Array, a: Array, directions: Directions, out: Arr
                 plus[j] += e[j]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
 def add_laplacian_diagonal(a: Array, directions: Directions, out: Array) -> None:
     """Add the diagonal of sum_d D_d^T a_d D_d to out [row col]."""
-    rows, cols = out.shape
-    for i in range(rows):
-        for d in range(len(directions)):
-            down, right = directions[d]
-            first, last = _overlap(right, cols)
-            if i + down >= rows or last <= first:
-                continue
-            share = a[d, i, first:last]
-            here, there = out[i, first:last], out[i + down, first + right : last + right]
-            for j in range(len(share)):
-                here[j] += share[j]
-            for j in range(len(share)):
-                there[j] += share[j]
+    for share, (here, there) in zip(a, neighbours(out.shape, directions), strict=True):
+        out[here] += share[here]
+        out[there] += share[here]

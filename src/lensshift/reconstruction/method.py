@@ -37,6 +37,7 @@ class Request:
     streamed : whether a stream asks, again and again
     law : noise of the light that was read with the response, in units of the burst, or None
     gain : [frequency frame] by which the phasors of the frames were divided, or None
+    turn_rad : [frequency frame] by which their phases were turned back, or None
     still_std : deviation of what is left of a fixed pattern of the pixels, in units of the burst
     device : where "auto" finds its pictures, or None for the kernels of this processor
     """
@@ -54,6 +55,7 @@ class Request:
     streamed: bool = False
     law: NoiseLaw | None = None
     gain: Floats | None = None
+    turn_rad: Floats | None = None
     still_std: float = 0.0
     device: Device | None = None
 

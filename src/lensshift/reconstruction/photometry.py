@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,7 +21,6 @@ from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import ESTIMATED, LIMIT
 from lensshift.reconstruction.noise import robust_scale
-from lensshift.reconstruction.phasor.frames import polar_frames
 from lensshift.reconstruction.quantiles import ENOUGH, weighted_mad, weighted_median
 from lensshift.registration.blocks import filled
 from lensshift.registration.light import gains_of_light, light_said
@@ -195,7 +194,7 @@ def lights(burst: Burst, latest: int) -> Floats:
     a part of the frame on one. Less than half a frame says nothing.
     """
     times, surely = np.ones(burst.frame_count), False
-    for k, now, then, used in _on_latest(burst, latest):
+    for k, now, then, used in on_latest(burst, latest):
         if 2 * np.sum(used) < max(np.sum(burst.valid[j]) for j in (k, latest)):
             continue
         found = _gain(now[used], then[used], 4 * math.pi * LOW_PASS_PX**2)
@@ -223,7 +222,7 @@ def differing(burst: Burst, latest: int, noise_sigma: float) -> Mask:
 
     found = np.zeros(burst.valid.shape, np.bool_)
     noise = noise_sigma**2 * (1 + np.iscomplexobj(burst.amplitude)) / (2 * math.pi * LOW_PASS_PX**2)
-    for k, now, then, used in _on_latest(burst, latest):
+    for k, now, then, used in on_latest(burst, latest):
         steep = sum(np.abs(slope) ** 2 for slope in image_slopes(now))
         allowed = noise + ALLOWED_SHIFT_PX**2 * mean_around(np.asarray(steep), 5)
         other = used & (mean_around(np.abs(now - then) ** 2, 3) > LIMIT * allowed)
@@ -232,7 +231,7 @@ def differing(burst: Burst, latest: int, noise_sigma: float) -> Mask:
     return found
 
 
-def _on_latest(burst: Burst, latest: int) -> Iterator[tuple[int, Array, Array, Mask]]:
+def on_latest(burst: Burst, latest: int) -> Iterator[tuple[int, Array, Array, Mask]]:
     """Yield the number of each other frame, then behind a low pass the latest one, and that one.
 
     Both [row col] as the latest lies, and where both are known.
@@ -291,32 +290,6 @@ def in_one_light(
     if differ:
         warn_quality(differ, stacklevel + 1)
     return found
-
-
-def phasors_in_one_light(
-    burst: Burst, request: Request, *, stacklevel: int
-) -> tuple[Burst, Request]:
-    """Return the burst with phasors as bright as most of them, and the request with their gains.
-
-    As they are if light does not surely differ, and else warn. Other light has no phase: no bias.
-    """
-    part = burst.select(request.frames)
-    every = polar_frames(part).phasor[None] if part.phasors is None else part.phasors
-    alone = replace(part, distance_m=None, phasors=None, modulation_hz=None)
-    most = int(np.argmax(part.valid.sum(axis=(1, 2))))
-    gain = 1 / np.stack([lights(replace(alone, amplitude=z), most) for z in every])
-    if np.all(gain == 1):
-        return burst, request
-    gain /= np.median(gain, axis=1, keepdims=True)
-    said = light_said(gain[np.argmax(np.ptp(gain, axis=1))], request.frames)
-    done = "the picture allows for it, by a gain of each frame (in its notes)"
-    warn_quality(f"{said}: {done}", stacklevel + 1)
-    each = np.ones((len(every), burst.frame_count, 1, 1))
-    each[:, list(request.frames), 0, 0] = gain
-    highest = 0 if burst.phasors is None else int(np.argmax(burst.frequencies_hz))
-    phasors = None if burst.phasors is None else burst.phasors / each
-    lit = replace(burst, amplitude=burst.amplitude / each[highest], phasors=phasors)
-    return lit, replace(request, gain=gain)
 
 
 def std_of_level(image: Floats, gain: Floats, bias: Floats) -> Floats:

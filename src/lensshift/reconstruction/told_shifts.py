@@ -16,8 +16,8 @@ from lensshift.reconstruction.learned.method import USUAL_SHIFT_ERROR_PX
 from lensshift.reconstruction.learned.pattern import without_pattern
 from lensshift.reconstruction.method import Method, Request
 from lensshift.reconstruction.phasor.choice import Choice
+from lensshift.reconstruction.phasor.common_light import phasors_in_common
 from lensshift.reconstruction.phasor.rounding import differ_by_rounding
-from lensshift.reconstruction.photometry import phasors_in_one_light
 from lensshift.reconstruction.pixel_response import averaged
 from lensshift.reconstruction.quick_shifts import found_variance_px2
 from lensshift.reconstruction.shift_check import (
@@ -63,7 +63,8 @@ def held_against_frames(
 ) -> tuple[Told, Request]:
     """Return what the frames doubt of the shifts; or shifts without doubt, if the method may mend.
 
-    Before, phasors are brought to one light, and what stays at the pixels is taken off frames.
+    Before, phasors are brought to one light and distance, and what stays at the pixels is taken off
+    frames.
 
     Warns
     -----
@@ -73,7 +74,7 @@ def held_against_frames(
     """
     phasors = choice.channel == "phasor"
     if phasors and not request.streamed:
-        burst, request = phasors_in_one_light(burst, request, stacklevel=3)
+        burst, request = phasors_in_common(burst, request, stacklevel=3)
         part = burst.select(request.frames)
     told = Told(burst, part)
     mend = method.name == "auto" or phasors

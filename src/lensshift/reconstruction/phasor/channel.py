@@ -11,6 +11,7 @@ import numpy as np
 
 from lensshift.core.arrays import Floats, Mask
 from lensshift.core.errors import warn_quality
+from lensshift.core.gaussian import MEDIAN_ERROR
 from lensshift.core.order import median
 from lensshift.core.types import Burst, Estimate, Status
 from lensshift.core.units import PhaseScale, distance_to_phase, unambiguous_range_m
@@ -84,14 +85,35 @@ def reconstruct_phasor(
     """
     _check(method, request)
     if burst.phasors is None:
-        return _one_frequency(burst, method, request, seen)
+        return _unsure_of_drift(_one_frequency(burst, method, request, seen))
     each = []
-    gains = [None] * len(burst.phasors) if request.gain is None else request.gain[:, None]
-    for z, hz, gain in zip(burst.phasors, burst.frequencies_hz, gains, strict=True):
+    for number, (z, hz) in enumerate(zip(burst.phasors, burst.frequencies_hz, strict=True)):
         one = replace(burst, amplitude=z, modulation_hz=hz, distance_m=None, phasors=None)
-        alone = replace(request, std=True, law=None, gain=gain)
+        gain, turn_rad = (
+            None if of_all is None else of_all[number, None]
+            for of_all in (request.gain, request.turn_rad)
+        )
+        alone = replace(request, std=True, law=None, gain=gain, turn_rad=turn_rad)
         each.append(_one_frequency(one, method, alone, seen))
-    return _agreed(burst.frequencies_hz, each, request)
+    return _unsure_of_drift(_agreed(burst.frequencies_hz, each, request))
+
+
+def _unsure_of_drift(found: PhasorResult) -> PhasorResult:
+    """Return the result with what the median of distances that drift is off by, in its std.
+
+    One error of the whole picture, and of all frequencies: it makes nothing fly.
+    """
+    distance_m = found.distance_m
+    std_m, drift_m = distance_m.uncertainty, distance_m.notes.get("drift_m")
+    if drift_m is None or std_m is None:
+        return found
+    shared_m = MEDIAN_ERROR * np.std(drift_m, ddof=1) / np.sqrt(len(drift_m))
+
+    def std() -> Floats:
+        return np.asarray(np.hypot(np.asarray(distance_m.std), shared_m))
+
+    wider = functools.cache(std) if callable(std_m) else std()
+    return replace(found, distance_m=replace(distance_m, uncertainty=wider))
 
 
 def _agreed(hz: tuple[float, ...], each: list[PhasorResult], request: Request) -> PhasorResult:
@@ -169,6 +191,8 @@ def _one_frequency(
         notes["contradiction"] = notes["contradiction"].replace(ESTIMATED, DIVIDED)
     if request.gain is not None:
         notes["gain"] = gain.tolist()
+    if request.turn_rad is not None:
+        notes["drift_m"] = (request.turn_rad[0] / frames.scale.rad_per_m).tolist()
     estimate = replace(
         found,
         noise_sigma=typical,

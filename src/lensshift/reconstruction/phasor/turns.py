@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lensshift.core.arrays import Array, Floats, Mask
+from lensshift.core.local_means import mean_around
 from lensshift.reconstruction.learned.reach import nearest
 from lensshift.reconstruction.phasor.frames import PolarFrames
 
@@ -105,6 +106,4 @@ def _agreed(turns: Array, known: Mask) -> Mask:
 
 def _around(values: Array, window_px: int = WINDOW_PX) -> Array:
     """Return [row col]: the mean over all frames and a window; beyond the border all is 0."""
-    from scipy.ndimage import uniform_filter
-
-    return np.asarray(uniform_filter(values.mean(axis=0), window_px, mode="constant"))
+    return mean_around(values.mean(axis=0), window_px, zeros=True)
