@@ -247,6 +247,22 @@ def test_a_copy_of_a_frame_is_left_out_and_makes_no_noise_less() -> None:
         np.testing.assert_allclose(found.image, other.image, atol=SIGMA)
 
 
+@pytest.mark.parametrize("phasors", [False, True])
+def test_a_copy_that_was_told_to_lie_elsewhere_is_named_and_left_out(phasors: bool) -> None:
+    """It passed for something that moved, or for a frame that lies elsewhere."""
+    for seed in range(3):
+        places, y = square(2), seen(seed, square(2))
+        y[2] = y[1]
+        told = {"offset_px": places, "pitch_mm": 0.1}
+        burst = Burst.from_arrays(y, **told)
+        if phasors:
+            burst = Burst.from_arrays((0.5 + np.abs(y)) * np.exp(1j), modulation_hz=2e7, **told)
+        left, said = without_copies(burst, range(4))
+        assert "frame 2 (of 1)" in said[0]
+        assert "told to lie elsewhere" in said[0]
+        assert left.valid.any(axis=(1, 2)).tolist() == [True, True, False, True]
+
+
 def test_frames_that_are_alike_elsewhere_or_show_nothing_are_no_copies() -> None:
     y = np.tile(np.linspace(0, 1, SHAPE[1]), (4, SHAPE[0], 1))
     burst = Burst.from_arrays(y, offset_px=[[-0.5, 0], [0, 0], [0.5, 0], [1, 0]], pitch_mm=0.1)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
 
 from lensshift.core import defects
-from lensshift.core.arrays import Array, Mask
+from lensshift.core.arrays import Array, Floats, Mask
 from lensshift.core.errors import warn_quality
 from lensshift.core.phasors import has_phasors
 from lensshift.core.types import Burst
@@ -29,6 +29,7 @@ AROUND_PX, CUT_SHARE = 3, 0.1
 FINEST_STEP = 2.0**-16
 # Of the frames at a place; and of what a pixel sees, so that it is near one.
 MOST, SEEN_SHARE = 0.5, 1e-3
+SAME = 1e-6  # what single precision leaves of a frame without noise that is moved
 # Frames that lie less apart than a square of four does leave a point of light where it is.
 TELLING_MOVE_PX = 0.4
 
@@ -129,23 +130,40 @@ def without_blank(burst: Burst, used: Sequence[int]) -> tuple[Burst, list[str]]:
 
 
 def without_copies(burst: Burst, used: Sequence[int]) -> tuple[Burst, list[str]]:
-    """Return the burst without those used frames that are copies of one at the same place.
+    """Return the burst without those used frames that are copies of an earlier one.
 
     And what is to be said of them. Their noise is that of the other one: it would seem to be less.
-    (Of those that were told to lie elsewhere the frames say themselves that they do not fit.)
+    One that was told to lie elsewhere is a copy if the move would show.
     """
     copies = defects.copied_frames(burst.amplitude[list(used)])
     places = [(used[k], used[of]) for k, of in copies.items()]
-    alike = [(k, of) for k, of in places if np.array_equal(burst.offset_px[k], burst.offset_px[of])]
-    if not alike or burst.affine is not None:
+    apart_px = {k: burst.offset_px[k] - burst.offset_px[of] for k, of in places}
+    copied = [
+        (k, of)
+        for k, of in places
+        if not apart_px[k].any() or _shows(burst.amplitude[k], burst.valid[k], apart_px[k])
+    ]
+    if not copied or burst.affine is not None:
         return burst, []
-    said = ", ".join(f"{k} (of {of})" for k, of in alike[:3]) + (" ..." if alike[3:] else "")
+    said = ", ".join(f"{k} (of {of})" for k, of in copied[:3]) + (" ..." if copied[3:] else "")
     valid = np.array(burst.valid)
-    valid[[k for k, _ in alike]] = False
+    valid[[k for k, _ in copied]] = False
+    elsewhere = any(apart_px[k].any() for k, _ in copied)
+    why = "they are told to lie elsewhere" if elsewhere else "noise would seem to be less"
     return replace(burst, valid=valid), [
         f"copies of frames, noise and all, are left out: frame {said}. They tell nothing new, and "
-        "noise would seem to be less. Were they handed out twice?"
+        f"{why}. Were they handed out twice?"
     ]
+
+
+def _shows(frame: Array, valid: Mask, move_px: Floats) -> bool:
+    """Return whether a frame [row col] would be another one if what it shows had moved so far."""
+    from scipy.ndimage import shift
+
+    moved = shift(np.where(valid, frame, 0), move_px, order=1, cval=np.nan)
+    beyond = ~np.isfinite(moved) | ~valid
+    same = np.isclose(moved, frame, rtol=SAME, atol=SAME * float(np.abs(frame[valid]).max()))
+    return not np.all(same | beyond)
 
 
 def measured(burst: Burst) -> tuple[Burst, list[str]]:
