@@ -11,7 +11,7 @@ from PIL import Image
 from stand_in import Call, FakeReconstruct, Refused
 
 from lensshift.core.types import Burst
-from lensshift.io import load_reconstruction, save_burst
+from lensshift.io import load_burst, load_reconstruction, save_burst
 
 
 def names(folder: Path) -> set[str]:
@@ -329,3 +329,34 @@ def test_what_cannot_be_is_refused_before_any_work(
     refused: Refused, burst_file: Path, options: list[str], said: str
 ) -> None:
     refused(["reconstruct", burst_file, *options], 2, said)
+
+
+def test_several_images_are_one_burst_by_the_numbers_in_their_names(
+    call: Call, fake: FakeReconstruct, refused: Refused, tmp_path: Path
+) -> None:
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    rng = np.random.default_rng(5)
+    images = [rng.integers(0, 255, (12, 14), dtype="u1") for _ in range(3)]
+    paths = [frames / f"f_{number}.png" for number in (9, 10, 100)]
+    for path, image in zip(paths, images, strict=True):
+        Image.fromarray(image).save(path)
+    (tmp_path / "shifts.csv").write_text("row,col\n0,0\n0,0.5\n0.5,0\n")
+    told = ("--offsets", tmp_path / "shifts.csv")
+    done = call("reconstruct", *sorted(paths), *told)  # as a shell lists them: 10, 100, 9
+    assert done.exit_code == 0, done.output
+    assert "warning" not in done.stderr
+    assert names(frames) == {path.name for path in paths}  # the next call finds the same images
+    assert (tmp_path / "frames_x2.nc").exists()
+    # Whoever lists them otherwise may mean it, and hears in which order they count.
+    both = tmp_path / "all.nc"
+    done = call("convert", paths[2], paths[0], paths[1], both, *told)
+    np.testing.assert_array_equal(load_burst(both).amplitude, images)
+    assert "f_9.png, f_10.png, f_100.png" in done.stderr
+    assert json.loads(call("info", *paths, "--json").stdout)["frame_count"] == 3
+    refused(["reconstruct", *paths, both], 2, "given alone")
+    refused(["register", *paths, tmp_path], 2, "given alone")
+    Image.fromarray(images[0][:9]).save(frames / "f_4.png")
+    refused(["reconstruct", *frames.iterdir()], 1, "expected (9, 14) pixels as in f_4.png")
+    tifffile.imwrite(frames / "f_5.tif", images[0])
+    refused(["reconstruct", *frames.iterdir()], 1, "one kind, got .png and .tif")

@@ -568,7 +568,7 @@ def test_folders_and_names(tmp_path: Path) -> None:
     assert "lensshift live --replay plays it" in message_of(tmp_path / "a.pcapng")
     np.save(tmp_path / "1.npy", np.ones((5, 7)))
     save_png(tmp_path / "1.png", np.ones((5, 7), "u1"))
-    assert "holds .npy and .png files" in message_of(tmp_path)
+    assert "images of one kind, got .npy and .png" in message_of(tmp_path)
 
 
 def test_odd_tiffs_are_refused(tmp_path: Path) -> None:

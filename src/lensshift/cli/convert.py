@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from lensshift.cli.inputs import Kind, StackOptions, kind_of, load_input_burst, refuse_overwriting
+from lensshift.cli.inputs import (
+    Kind,
+    StackOptions,
+    kind_of,
+    load_input_burst,
+    refuse_overwriting,
+    source_of,
+)
 from lensshift.cli.points import CLOUD_SUFFIXES, PointOptions, refuse_points
 from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import argument, option, verb
@@ -22,7 +29,9 @@ IMAGE_SUFFIXES = (".npz", ".tif", ".tiff", ".fits", ".fit")
 
 @dataclass(frozen=True, slots=True)
 class _ConvertOptions:
-    source: Path = argument("Image stack, burst file, reconstruction or sequence.", metavar="IN")
+    sources: list[Path] = argument(
+        "Image stack, several images, burst file, reconstruction or sequence.", metavar="IN"
+    )
     target: Path = argument(
         "A burst to .nc, .npz, .tif, .ome.tif, .fits; a result to .tif, .ome.tif, .fits, "
         ".png, .npz, .ply, .pcd, .mcap, .rrd.",
@@ -32,6 +41,11 @@ class _ConvertOptions:
     bits: Literal["8", "16"] = option("8", "Depth of a PNG pixel.")
     points: PointOptions = field(default_factory=PointOptions)
     window: int | None = option(None, "Number of the picture of a sequence.", min=0)
+
+    @property
+    def source(self) -> Path:
+        """The only input, or the folder of several images."""
+        return source_of(self.sources)
 
 
 @verb()
@@ -48,9 +62,9 @@ def convert(current: Session, asked: _ConvertOptions) -> None:
       lensshift convert sr.nc sr.mcap --fov-deg 60x45
     """
     source, target = asked.source, asked.target
-    refuse_overwriting((source, asked.stack.offsets), (target,))
+    refuse_overwriting((*asked.sources, asked.stack.offsets), (target,))
     current.result |= {"input": source, "files": [target]}
-    kind = kind_of(source)
+    kind = kind_of(source) if len(asked.sources) == 1 else Kind.STACK
     pictures = kind in (Kind.RECONSTRUCTION, Kind.SEQUENCE)
     if pictures and target.suffix.lower() in STREAM_SUFFIXES:
         _convert_stream(current, asked)
@@ -108,7 +122,7 @@ def _convert_burst(asked: _ConvertOptions) -> None:
             f"{target}: a burst becomes a burst file ({', '.join(CONTAINER_SUFFIXES)}), .npz, "
             ".tif, .ome.tif or .fits"
         )
-    burst = load_input_burst(asked.source, asked.stack)
+    burst = load_input_burst(asked.sources, asked.stack)
     burst = replace(burst, intrinsics=asked.points.intrinsics(burst.grid, burst.intrinsics))
     if suffix in CONTAINER_SUFFIXES:
         save_burst(burst, target)

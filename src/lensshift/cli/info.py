@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import FRAME_AXES, Kind, StackOptions, kind_of, load_input_burst
+from lensshift.cli.inputs import (
+    FRAME_AXES,
+    Kind,
+    StackOptions,
+    kind_of,
+    load_input_burst,
+    several,
+    source_of,
+)
 from lensshift.cli.points import view_of, view_text
 from lensshift.cli.reconstruct import say_channels
 from lensshift.cli.register import say_turns
@@ -25,8 +34,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _InfoOptions:
-    file: Path | None = argument(
-        "Burst, reconstruction, lens field, image stack, scene, experiment or rig (.toml).",
+    files: list[Path] | None = argument(
+        "Burst, reconstruction, lens field, image stack, several images, scene, experiment or rig "
+        "(.toml).",
+        metavar="FILE",
         default=None,
     )
     stack: StackOptions = field(default_factory=StackOptions)
@@ -50,10 +61,14 @@ def info(current: Session, asked: _InfoOptions) -> None:
         from lensshift.cli.devices import say_ports
 
         say_ports(current)
-    file = asked.file
-    if file is None:
+    if not asked.files:
         if not asked.devices:
             raise typer.BadParameter("Missing argument: a file, or --devices")
+        return
+    file = source_of(asked.files)
+    if len(asked.files) > 1:
+        current.result |= {"file": file, "kind": Kind.STACK.value, "schema": None}
+        _say_stack(current, asked.files, asked.stack, f"{file}: {len(asked.files)} images")
         return
     if file.suffix.lower() == ".toml":
         _say_toml(current, file)
@@ -76,9 +91,9 @@ def info(current: Session, asked: _InfoOptions) -> None:
         current.say(heading)
         _say_sequence(current, file)
     elif kind is Kind.STACK:
-        _say_stack(current, file, asked.stack, heading)
+        _say_stack(current, [file], asked.stack, heading)
     else:
-        _say_burst(current, load_input_burst(file, asked.stack), heading)
+        _say_burst(current, load_input_burst([file], asked.stack), heading)
 
 
 def _say_toml(current: Session, file: Path) -> None:
@@ -132,20 +147,21 @@ def _say_offsets(current: Session, burst: Burst) -> None:
     say_turns(current, burst)
 
 
-def _say_stack(current: Session, file: Path, stack: StackOptions, heading: str) -> None:
+def _say_stack(current: Session, files: Sequence[Path], stack: StackOptions, heading: str) -> None:
     """Describe the images, also phasors of which nobody told the frequencies yet."""
     from lensshift.io.image_stack import load_stack_fields
 
+    source = files[0] if len(files) == 1 else several(files)
     try:
-        fields = load_stack_fields(file, key=stack.key, frame_axis=FRAME_AXES[stack.frame_axis])
+        fields = load_stack_fields(source, key=stack.key, frame_axis=FRAME_AXES[stack.frame_axis])
     except DataError as error:
         if stack.key is not None or error.field != "key":
             raise
-        _say_arrays(current, file, error.problem)
+        _say_arrays(current, files[0], error.problem)
         return
     frames = fields["amplitude"]
     if frames.ndim == 3 or stack.modulation_hz is not None or "modulation_hz" in fields:
-        _say_burst(current, load_input_burst(file, stack), heading)
+        _say_burst(current, load_input_burst(files, stack), heading)
         return
     current.say(heading)
     _say_frames(current, frames, fields.get("distance_m"), fields.get("valid"))

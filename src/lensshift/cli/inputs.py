@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 
 
 BurstArgument = Annotated[
-    Path,
+    list[Path],
     typer.Argument(
-        help="A burst file, or an image stack (TIFF, NPY, NPZ, FITS, HDF5, folder of images)."
+        help="A burst file, or an image stack (TIFF, NPY, NPZ, MAT, FITS, HDF5, folder of images), "
+        "or several images, which count by the numbers in their names.",
+        metavar="BURST",
     ),
 ]
 PatternOption = Annotated[
@@ -77,18 +79,40 @@ def kind_of(path: Path) -> Kind:
     raise DataError(f"expected a burst or a reconstruction, got {schema!r:.80}", source=path)
 
 
-def load_input_burst(path: Path, options: StackOptions) -> Burst:
-    """Read a burst file or an image stack, of which nobody may have told the offsets yet."""
+def source_of(given: Sequence[Path]) -> Path:
+    """Return the name of what is read: the only path, or the folder of several images."""
+    return given[0] if len(given) == 1 else given[0].parent
+
+
+def several(given: Sequence[Path]) -> list[Path]:
+    """Return images by the numbers in their names; a usage error if one of them is no image."""
+    from lensshift.io.foreign_arrays import has_names
+    from lensshift.io.image_stack import in_order
+
+    for path in given:
+        if path.is_dir() or has_names(path):
+            raise typer.BadParameter(
+                f"{path}: several files are the images of one burst; a folder, a burst, a result "
+                "or arrays by name are given alone"
+            )
+    return in_order(given)
+
+
+def load_input_burst(given: Sequence[Path], options: StackOptions) -> Burst:
+    """Read a burst file, an image stack or images, of which nobody may have told the offsets."""
     from lensshift.io import load_burst, load_image_stack
 
     pitch_mm = None if options.pitch_mm is None else parse_pitch_mm(options.pitch_mm)
-    kind = kind_of(path)
+    path = given[0]
+    kind = kind_of(path) if len(given) == 1 else Kind.STACK
     if kind is Kind.BURST:
         return _told_more(load_burst(path), path, options)
     if kind is not Kind.STACK:
         raise DataError(f"expected a burst, got a {kind.value}", source=path)
     told: dict[str, Any] = {"pitch_mm": pitch_mm, "frame_axis": FRAME_AXES[options.frame_axis]}
-    return load_image_stack(path, options.offsets, **picked(options, "key modulation_hz"), **told)
+    told |= picked(options, "key modulation_hz")
+    images = path if len(given) == 1 else several(given)
+    return load_image_stack(images, options.offsets, **told)
 
 
 def _told_more(burst: Burst, path: Path, options: StackOptions) -> Burst:

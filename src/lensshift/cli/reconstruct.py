@@ -123,6 +123,7 @@ def reconstruct(current: Session, asked: ReconstructOptions) -> None:
     Examples:
       lensshift reconstruct burst.nc --scale 2 -o sharp.nc
       lensshift reconstruct stack.tif                       # finds the shifts itself
+      lensshift reconstruct frames/*.png -o sharp.nc
       lensshift reconstruct frames/ --offsets shifts.csv --pitch-mm 0.015 --export sharp.tif
       lensshift reconstruct burst.nc --lens-field field.nc  # of `lensshift lens field`
       lensshift reconstruct burst.nc --fov-deg 60x45 --export cloud.ply --export cloud.pcd
@@ -230,7 +231,7 @@ def _reconstruct(
     from lensshift.reconstruction.problem import blur_width_px
 
     rows, cols = burst.grid.shape
-    source, points, count = asked.burst, asked.points, burst.frame_count
+    source, points, count = inputs.source_of(asked.burst), asked.points, burst.frame_count
     told = f"{count} frames of {rows} x {cols} px, offsets {burst.offset_source}"
     current.say(f"{source}: {told if count > 1 else f'one frame of {rows} x {cols} px'}")
     used = burst.select(settings["frames"] or range(count))
@@ -318,7 +319,7 @@ def _plan(asked: ReconstructOptions) -> list[Path]:
     from lensshift.io.export import is_fits
     from lensshift.io.fits_file import astropy_fits
 
-    result = asked.out or inputs.beside(asked.burst, f"_x{asked.scale}.nc")
+    result = asked.out or inputs.beside(inputs.source_of(asked.burst), f"_x{asked.scale}.nc")
     other, exports = result.suffix.lower() in EXPORT_SUFFIXES, asked.export or []
     cure = f"; use --export for {result.suffix}" if other else ""
     inputs.check_netcdf(result, "the result", cure)
@@ -330,5 +331,5 @@ def _plan(asked: ReconstructOptions) -> list[Path]:
         if is_fits(path):
             astropy_fits()  # or say what to install
     files = [result, result.with_name(f"{result.stem}_preview.png"), *exports]
-    inputs.check_files((asked.burst, asked.stack.offsets), files)
+    inputs.check_files((*asked.burst, asked.stack.offsets), files)
     return files

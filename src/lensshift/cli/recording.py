@@ -64,9 +64,9 @@ def reconstruct_windows(
     """Make the sequence of a recording and say what became of it."""
     from lensshift.pipeline.recording import reconstruct_recording
 
-    source, split = asked.burst, asked.split
+    source, split = inputs.source_of(asked.burst), asked.split
     target = asked.out or source.with_name(f"{source.stem}_x{asked.scale}_windows.nc")
-    if inputs.kind_of(source) is inputs.Kind.STACK:
+    if len(asked.burst) > 1 or inputs.kind_of(source) is inputs.Kind.STACK:
         raise typer.BadParameter(
             f"{source}: --window takes a burst file; lensshift convert makes one of images"
         )

@@ -43,21 +43,23 @@ def register(current: Session, asked: _RegisterOptions) -> None:
     Examples:
       lensshift register burst.nc -o registered.nc
       lensshift register frames.tif --pitch-mm 0.015
+      lensshift register *.png
       lensshift register frames/ --offsets planned.csv --pitch-mm 0.015 --photometric
       lensshift register handheld.tif --pitch-mm 0.015 --motion affine
     """
     from lensshift.io import save_burst
     from lensshift.registration import register as find_shifts
 
-    target = asked.out or inputs.beside(asked.burst, "_registered.nc")
+    source = inputs.source_of(asked.burst)
+    target = asked.out or inputs.beside(source, "_registered.nc")
     inputs.check_netcdf(target, "a burst")
-    inputs.check_files((asked.burst, asked.stack.offsets), (target,))
+    inputs.check_files((*asked.burst, asked.stack.offsets), (target,))
     burst = inputs.load_input_burst(asked.burst, asked.stack)
     told = picked(asked, "method motion channel reference photometric use_given")
     told |= {"frames": methods.parse_frames(asked.frames)}
     found = find_shifts(burst, **told)
     save_burst(found, target)
-    current.result["input"] = asked.burst
+    current.result["input"] = source
     _say(current, found)
     current.wrote(target)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -137,16 +138,28 @@ def _images_in(folder: Path) -> list[Path]:
             if image_file.image_suffix(path) in image_file.IMAGE_SUFFIXES
             and not path.name.startswith(".")
         ]
-        kinds = sorted({image_file.image_suffix(path) for path in images})
-        if len(kinds) > 1:
-            cure = "keep those that are frames in a folder of their own"
-            raise DataError(f"the folder holds {' and '.join(kinds)} files; {cure}")
         if not images:
             raise DataError(f"the folder holds no image ({', '.join(image_file.IMAGE_SUFFIXES)})")
+        return in_order(sorted(images))
 
-    images = sorted(images, key=lambda path: _natural(path.name))
-    _warn_of_series(folder, images)
-    return images
+
+def in_order(images: Sequence[Path]) -> list[Path]:
+    """Return images by the numbers in their names, or a `DataError` if they differ in kind.
+
+    Another order than that, or than the alphabet's of shells, may have been meant: a warning.
+    """
+    kinds = sorted({image_file.image_suffix(path) for path in images})
+    if len(kinds) > 1:
+        cure = "keep those that are frames in a folder of their own"
+        raise DataError(f"expected images of one kind, got {' and '.join(kinds)}; {cure}")
+    common = Path(os.path.commonpath([path.absolute().parent for path in images]))
+    names = {path: str(path.absolute().relative_to(common)) for path in images}
+    found = sorted(images, key=lambda path: _natural(names[path]))
+    if list(images) not in (found, sorted(images)):
+        listed = ", ".join(names[path] for path in found)
+        warn_quality(f"the images are frames in the order of the numbers in their names: {listed}")
+    _warn_of_series(common.name, [names[path] for path in found])
+    return found
 
 
 def _kind(name: str) -> str:
@@ -160,11 +173,11 @@ def _natural(name: str) -> list[tuple[bool, int, str]]:
     return [(not digits, int(digits or 0), text) for digits, text in parts]
 
 
-def _warn_of_series(folder: Path, images: list[Path]) -> None:
+def _warn_of_series(folder: str, images: list[str]) -> None:
     """Warn of images that share their numbers, as amp_0, amp_1, depth_0 and depth_1."""
     numbers: dict[str, list[str]] = {}
-    for path in images:
-        numbers.setdefault(_kind(path.name), []).append("-".join(re.findall("[0-9]+", path.name)))
+    for name in images:
+        numbers.setdefault(_kind(name), []).append("-".join(re.findall("[0-9]+", name)))
     first, *others = numbers.values()
     if len(first) > 1 and others and all(each == first for each in others):
         warn_quality(
