@@ -7,6 +7,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+import scipy.io
 
 from lensshift import reconstruct
 from lensshift.core.errors import DataError, QualityWarning
@@ -14,6 +15,7 @@ from lensshift.core.types import Burst
 from lensshift.io import load_burst, load_image_stack, load_reconstruction, save_burst
 from lensshift.io.container_reader import is_ours
 from lensshift.io.foreign_arrays import load_named_arrays
+from lensshift.io.reading import memory_limit
 from lensshift.pipeline import demo_burst
 
 FRAMES = np.random.default_rng(3).random((4, 6, 7))
@@ -158,6 +160,53 @@ def test_axes_of_matlab_are_turned_back(tmp_path: Path) -> None:
     with h5py.File(path, "a") as file:
         file["frames"].attrs["MATLAB_class"] = np.bytes_("double")
     np.testing.assert_array_equal(load_image_stack(path).amplitude, FRAMES)
+
+
+@pytest.mark.parametrize("version", ["7", "7.3"])
+def test_files_that_matlab_writes_are_read(tmp_path: Path, version: str) -> None:
+    """Version 7 is MATLAB's default; 7.3 is HDF5 behind 512 bytes that say so."""
+    offset_px = np.array([[0, 0], [0, 0.5], [0.5, 0], [0.5, 0.5]])
+    waves = (FRAMES * np.exp(1j * FRAMES)).astype(np.complex128)
+    told: dict[str, Any] = {"amplitude": np.moveaxis(waves, 0, 2), "offset_px": offset_px}
+    told |= {"time_s": np.arange(4.0)[None], "modulation_hz": np.array([[20e6]])}
+    path = tmp_path / "a.mat"
+    if version == "7":
+        scipy.io.savemat(path, told | {"camera": "mine"}, do_compression=True)
+    else:
+        with h5py.File(path, "w", userblock_size=512) as file:
+            for name, values in told.items():
+                plain = values.T
+                if values.dtype.kind == "c":
+                    plain = np.empty(plain.shape, [("real", "f8"), ("imag", "f8")])
+                    plain["real"], plain["imag"] = values.T.real, values.T.imag
+                file[name] = plain
+                file[name].attrs["MATLAB_class"] = np.bytes_("double")
+            file["camera"] = np.frombuffer(b"mine", "u1").astype("u2")[:, None]
+            file["camera"].attrs["MATLAB_class"] = np.bytes_("char")
+        with path.open("r+b") as raw:
+            raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + bytes([0, 2]) + b"IM")
+    with warnings.catch_warnings(action="error"):
+        burst = load_image_stack(path, frame_axis=-1)
+    np.testing.assert_array_equal(burst.amplitude, waves)
+    np.testing.assert_array_equal(burst.offset_px, offset_px)
+    np.testing.assert_array_equal(burst.time_s, np.arange(4.0))
+    assert burst.modulation_hz == 20e6
+
+
+def test_files_of_matlab_without_arrays_or_damaged_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    scipy.io.savemat(path, {"s": {"frames": FRAMES}})
+    with pytest.raises(DataError, match="-struct"):
+        load_image_stack(path)
+    scipy.io.savemat(path, {"frames": FRAMES}, do_compression=True)
+    whole = path.read_bytes()
+    for kept in (1, 100, 140, len(whole) // 2):
+        path.write_bytes(whole[:kept])
+        with pytest.raises(DataError, match=r"a\.mat: "):
+            load_image_stack(path)
+    path.write_bytes(whole)
+    with memory_limit(1000), pytest.raises(DataError, match="expected at most 1000 bytes"):
+        load_image_stack(path)
 
 
 def test_hdf5_without_numbers_and_files_of_ours_are_refused(tmp_path: Path) -> None:

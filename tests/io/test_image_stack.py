@@ -559,11 +559,23 @@ def test_frames_along_the_last_axis_are_noticed(tmp_path: Path) -> None:
     assert load_image_stack(tmp_path / "noise.npy").frame_count == 40
 
 
+def test_portable_grey_maps_of_16_bits_are_frames(tmp_path: Path) -> None:
+    frames = frames_of("u2")
+    for number, frame in enumerate(frames):
+        header = b"P5\n%d %d\n65535\n" % frame.shape[::-1]
+        (tmp_path / f"{number}.pgm").write_bytes(header + frame.astype(">u2").tobytes())
+    np.testing.assert_array_equal(load(tmp_path), frames)
+
+
 def test_folders_and_names(tmp_path: Path) -> None:
     assert "holds no image" in message_of(tmp_path)
     assert "no such file" in message_of(tmp_path / "none.tif")
     (tmp_path / "a.gif").write_bytes(b"x")
     assert "expected .tif, .tiff, .png, .jpg" in message_of(tmp_path / "a.gif")
+    cures = {"mp4": "ffmpeg", "bin": "np.fromfile", "csv": "np.loadtxt", "czi": "OME-TIFF"}
+    for ending, cure in cures.items():
+        (tmp_path / f"b.{ending}").write_bytes(b"x")
+        assert cure in message_of(tmp_path / f"b.{ending}")
     (tmp_path / "a.pcapng").write_bytes(b"x")
     assert "lensshift live --replay plays it" in message_of(tmp_path / "a.pcapng")
     np.save(tmp_path / "1.npy", np.ones((5, 7)))

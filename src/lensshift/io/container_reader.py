@@ -24,6 +24,7 @@ OTHERS = (
     "distance_m, valid ..."
 )
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_SIGNATURE_AT = (0, 512)  # behind a block of the program's own, as MATLAB writes it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,10 +218,11 @@ def read_schema(path: str | Path) -> str:
 
 
 def is_hdf5(path: str | Path) -> bool:
-    """Tell whether a file starts like an HDF5 file."""
+    """Tell whether a file starts like an HDF5 file, MATLAB's with its own 512 bytes before."""
     require_file(path)
     with reading(path), Path(path).open("rb") as file:
-        return file.read(len(_HDF5_SIGNATURE)) == _HDF5_SIGNATURE
+        start = file.read(_SIGNATURE_AT[-1] + len(_HDF5_SIGNATURE))
+    return any(start.startswith(_HDF5_SIGNATURE, place) for place in _SIGNATURE_AT)
 
 
 def is_ours(path: str | Path) -> bool:

@@ -1,4 +1,4 @@
-"""Arrays of numbers by name, as other programs write them: NPZ, HDF5 and netCDF-4."""
+"""Arrays of numbers by name, as other programs write them: NPZ, HDF5, netCDF-4 and MATLAB."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from numpy.typing import NDArray
 
 from lensshift.core.errors import DataError, warn_quality
 from lensshift.io.container_reader import is_hdf5, opened
+from lensshift.io.matlab_file import load_matlab
 from lensshift.io.reading import check_unpacked, reading, require_file, unpacked_bytes
 
+_MATLAB_COMPLEX = ("real", "imag")
 _PACKED = {"scale_factor": 1.0, "add_offset": 0.0}  # attributes of netCDF, and what they are else
 
 
 def has_names(path: str | Path) -> bool:
     """Tell whether arrays have names in a file."""
-    return Path(path).suffix.lower() == ".npz" or (Path(path).is_file() and is_hdf5(path))
+    return Path(path).suffix.lower() in (".npz", ".mat") or (Path(path).is_file() and is_hdf5(path))
 
 
 def load_named_arrays(
     path: str | Path, attributes: Collection[str] = ()
 ) -> dict[str, NDArray[Any]]:
-    """Read the arrays of numbers and text of an NPZ file, or those of numbers of an HDF5 file.
+    """Read the arrays of numbers and text of an NPZ file, or of numbers of an HDF5 or MAT file.
 
     Warns of Python objects in NPZ. In HDF5 packed numbers are unpacked and fill values are NaN, as
     netCDF has them; arrays are named without their groups if that is one name each, and numbers in
@@ -41,6 +43,8 @@ def load_named_arrays(
     if is_hdf5(path):
         return _hdf5_arrays(Path(path), attributes)
     with reading(path):
+        if Path(path).suffix.lower() == ".mat":
+            return load_matlab(Path(path))
         if not is_zipfile(path):
             raise DataError("not an NPZ file")
         with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
@@ -88,14 +92,16 @@ def _hdf5_arrays(path: Path, attributes: Collection[str]) -> dict[str, NDArray[A
         items = {
             name: item
             for name, item in items.items()
-            if isinstance(item, h5py.Dataset) and item.dtype.kind in "biufc" and item.size
+            if isinstance(item, h5py.Dataset) and item.size
+            if item.dtype.kind in "biufc" or item.dtype.names == _MATLAB_COMPLEX
+            if item.attrs.get("MATLAB_class") != b"char"
             if item.attrs.get("CLASS") != b"DIMENSION_SCALE"
         }
         short = [name.rpartition("/")[2] for name in items]
         told = {name: np.asarray(root.attribute(name)) for name in attributes}
         numbers = {name: one for name, one in told.items() if one.dtype.kind in "uif"}
         for (name, item), last in zip(items.items(), short, strict=True):
-            values = replace(root, group=item.parent).array(last, kinds="biufc")
+            values = replace(root, group=item.parent).array(last, kinds="biufcV")
             numbers[last if short.count(last) == 1 else name] = _measured(values, item)
     if not numbers:
         raise DataError("there is no array of numbers in it", source=path)
@@ -105,6 +111,8 @@ def _hdf5_arrays(path: Path, attributes: Collection[str]) -> dict[str, NDArray[A
 def _measured(values: NDArray[Any], item: Any) -> NDArray[Any]:
     """Return what the numbers of a variable stand for, NaN where there is none."""
     told = {name: np.ravel(item.attrs[name]) for name in item.attrs if name != "REFERENCE_LIST"}
+    if values.dtype.names:
+        values = values["real"] + 1j * values["imag"]
     if "MATLAB_class" in told:  # which counts axes from the one that runs fastest
         values = values.T
     scale, offset = (float(told.get(name, [n])[0]) for name, n in _PACKED.items())

@@ -33,16 +33,32 @@ FITS_SUFFIXES = (".fits", ".fit", ".fts")
 _PACKED = (".gz", ".fz")  # of telescopes' archives, after an ending of FITS
 _PACKERS = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z", ".tar", ".tgz")  # of anything else
 JPEG_SUFFIXES = (".jpg", ".jpeg")
-_CURES = {".mat": "; MATLAB's save(..., '-v7.3') writes HDF5, which is read"}
-_PILLOW_SUFFIXES = (".png", *JPEG_SUFFIXES, ".bmp")
+_ADVICE = "save it as greyscale of 8 or 16 bits first"
+_VIDEO = "; ffmpeg -i VIDEO frames/%04d.png makes images of it"
+_ARRAY = (
+    "; np.save('frames.npy', np.fromfile(FILE, '<u2').reshape(frames, rows, cols)) of the right "
+    "type and size makes an array of it"
+)
+_TABLES = (
+    "; np.save('frames.npy', np.stack([np.loadtxt(file, delimiter=',') for file in FILES])) makes "
+    "frames of tables of numbers; shifts are told by --offsets"
+)
+_MICROSCOPES = "; export it as OME-TIFF (Fiji: Bio-Formats)"
+_CURES = {
+    **dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".gif"), _VIDEO),
+    **dict.fromkeys((".raw", ".bin", ".dat"), _ARRAY),
+    **dict.fromkeys((".csv", ".txt", ".asc"), _TABLES),
+    **dict.fromkeys((".czi", ".nd2", ".lif", ".lsm", ".oif", ".vsi"), _MICROSCOPES),
+    **dict.fromkeys((".heic", ".heif", ".webp", ".jp2"), f"; {_ADVICE}"),
+}
+_PILLOW_SUFFIXES = (".png", *JPEG_SUFFIXES, ".bmp", ".pgm")
 IMAGE_SUFFIXES = (*TIFF_SUFFIXES, *_PILLOW_SUFFIXES, ".npy", *FITS_SUFFIXES)
-_FORMATS = ("PNG", "TIFF", "JPEG", "BMP")  # of Pillow
+_FORMATS = ("PNG", "TIFF", "JPEG", "BMP", "PPM")  # of Pillow
 _GREY_MODES = ("L", "I;16", "I;16B", "I;16L", "I", "F")
 _CHANNEL_MODES = ("LA", "RGB", "RGBA", "P", "CMYK")
 _AS_RGB = ("P", "CMYK")  # P has a palette
 _PIXEL_BYTES = 4  # the most that a pixel takes, of whole colours or a float
 TIFFFILE_COMPRESSIONS = (1, 8, 32946)  # none and deflate; the rest is left to Pillow
-_ADVICE = "save it as greyscale of 8 or 16 bits first"
 _OR_FRAMES = ", or say --frame-axis last if its channels are frames"
 _ORIENTATION = 0x0112  # tag of EXIF
 SOFTWARE = "lensshift"  # in TIFF files of this package
@@ -102,7 +118,7 @@ def load_frames(
         if suffix in RECORDING_SUFFIXES:
             raise DataError("no image, but a recording: lensshift live --replay plays it")
         cure = "; unpack it first" if suffix in _PACKERS else _CURES.get(suffix, "")
-        known = ", ".join((*IMAGE_SUFFIXES, ".npz", ".h5"))
+        known = ", ".join((*IMAGE_SUFFIXES, ".npz", ".mat", ".h5"))
         raise DataError(f"expected {known} or .nc, got {suffix!r:.40}{cure}")
 
 

@@ -299,6 +299,8 @@ def _named_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[s
     _warn_of_unread(path, arrays, name, key)
     told = (one for one in _PLAIN if one in arrays and one != name)  # phasors are frames, too
     fields |= {plain: arrays[plain] for plain in told}
+    if "time_s" in fields:  # of MATLAB, all have two axes
+        fields["time_s"] = np.ravel(fields["time_s"])
     for scalar, convert in _SCALARS.items():
         if scalar in arrays:
             with reading(path, scalar):
