@@ -217,16 +217,20 @@ def test_pixels_that_measured_nothing_are_questioned_unless_marked() -> None:
 
 @pytest.mark.parametrize(
     ("mark_m", "questioned"),
-    [(0.0, True), (-1.0, True), (65.535, True), (9.5, False), (np.nan, False)],
+    [(0.0, True), (-1.0, True), (65.535, True), (9.5, False), (-0.7, True), (np.nan, False)],
 )
-def test_numbers_that_stand_for_no_distance_are_questioned(mark_m: float, questioned: bool) -> None:
+@pytest.mark.parametrize("modulation_hz", [15e6, None])
+def test_numbers_that_stand_for_no_distance_are_left_out(
+    mark_m: float, questioned: bool, modulation_hz: float | None
+) -> None:
     rng = np.random.default_rng(5)
     light, far_m = rng.uniform(1, 2, (2, *SHAPE)), rng.uniform(2, 3, (2, *SHAPE))
     far_m[:, 2, 3:5] = mark_m
-    valid, told = np.isfinite(far_m), {"pitch_mm": 0.1, "modulation_hz": 15e6}
+    valid, told = np.isfinite(far_m), {"pitch_mm": 0.1, "modulation_hz": modulation_hz}
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        Burst.from_arrays(light, far_m, offset_px=np.zeros((2, 2)), valid=valid, **told)
+        burst = Burst.from_arrays(light, far_m, offset_px=np.zeros((2, 2)), valid=valid, **told)
+    np.testing.assert_array_equal(burst.valid, valid & ~((far_m == mark_m) & questioned))
     said = f"distance_m: 4 of 70 pixels are {mark_m:g}, as where"
     assert [said in str(one.message) for one in caught] == [True] * questioned
 

@@ -15,6 +15,10 @@ from lensshift.core.intrinsics import Intrinsics, Pinhole, PixelDirections
 LEAST_SIZE = 1e-100  # of frames: squares of smaller values, and of its inverse, are no doubles
 # Of the usual distance; numbers that stand for none lie farther from all that were measured.
 APART = 0.1
+_FAR = 100.0  # times the largest of all others: its light would be 10^4 times less
+_MOST_CODES = 3  # at either end, as for too little, too much and scattered light
+_CODES_MM = (4095, 8191, 16383, 32767, 65535)  # where counters of millimetres end
+_CODE_MM = 0.01  # of metres in single precision
 # Frames of one scene vary 2 to 20 times less from one to the next than columns do.
 _ALIKE = 0.5
 _FEWEST_PX = (0, 10, 32)  # of cameras along rows and columns: shorter axes are none of pictures
@@ -149,44 +153,57 @@ def check_finite_where_valid(values: Array, valid: Mask, name: str) -> None:
         raise DataError(f"{problem}; give them in another unit", field=name)
 
 
-def doubts_about_distances(
-    amplitude: Array, distance_m: Array | None, valid: Mask, frequencies_hz: tuple[float, ...]
-) -> list[str]:
-    """Say what can hardly be meant by frequencies and distances; some of it may be ""."""
+def doubt_about_distances(
+    distance_m: Array | None, valid: Mask, frequencies_hz: tuple[float, ...]
+) -> str:
+    """Say what can hardly be meant by frequencies and distances; or ""."""
     typical_m = None if distance_m is None else float(np.median(distance_m[valid]))
     of_units = (
         units.doubt_about_units(min(frequencies_hz), typical_m)
         if frequencies_hz
         else units.doubt_about_distance(typical_m)
     )
-    if distance_m is None:
-        return [of_units]
-    if distance_m.dtype.kind in "ui" and not of_units:
-        of_units = "distance_m: whole metres only; were their parts cut off? Floats keep them"
-    range_m = units.unambiguous_range_m(frequencies_hz[0]) if len(frequencies_hz) == 1 else np.inf
-    return [of_units, _unmeasured(np.abs(amplitude[valid]), distance_m[valid], range_m)]
+    if distance_m is not None and distance_m.dtype.kind in "ui" and not of_units:
+        return "distance_m: whole metres only; were their parts cut off? Floats keep them"
+    return of_units
 
 
-def _unmeasured(amplitude: Array, distance_m: Array, range_m: float) -> str:
-    """Say which number seems to stand where nothing was measured; or "".
+def unmeasured(
+    amplitude: Array, distance_m: Array, valid: Mask, frequencies_hz: tuple[float, ...]
+) -> tuple[Mask, str]:
+    """Return the valid pixels whose distance stands for none, and what to say of them; or "".
 
-    Several pixels have it, it is none that a phase tells, and no other comes near; or it is 0 and
-    so is the light.
+    Several have one number, no other comes near, and no distance is that: not above 0, beyond the
+    unambiguous range, the end of a counter, or far beyond all others. So is 0 where no light is.
     """
-    for end_m in (distance_m.min(), distance_m.max()):
-        alike = distance_m == end_m
-        others_m = distance_m[~alike].astype(np.float64)
-        if 0 < end_m <= range_m or not others_m.size:
+    range_m = units.unambiguous_range_m(frequencies_hz[0]) if len(frequencies_hz) == 1 else np.inf
+    left, said = np.zeros(valid.shape, np.bool_), []
+    for end in (np.min, np.max) * _MOST_CODES:
+        inside = valid & ~left
+        end_m = end(distance_m[inside])
+        alike = inside & (distance_m == end_m)
+        others_m = distance_m[inside & ~alike].astype(np.float64)
+        if not others_m.size or _can_be(end_m, others_m, range_m, lowest=end is np.min):
             continue
-        apart_m = np.min(np.abs(others_m - end_m))
-        if alike.sum() < 2 or apart_m <= APART * abs(np.median(others_m)):
+        usual_m = abs(np.median(others_m))
+        reach_m = APART * (usual_m if end_m == 0 else max(usual_m, np.ptp(others_m)))
+        if alike.sum() < 2 or np.min(np.abs(others_m - end_m)) <= reach_m:
             alike &= (amplitude == 0) & (end_m == 0)
         if alike.any():
-            return (
-                f"distance_m: {alike.sum()} of {distance_m.size} pixels are {end_m:g}, as where "
-                "nothing was measured; mark them False in `valid`"
-            )
-    return ""
+            left |= alike
+            said.append(f"{alike.sum()} of {distance_m.size} pixels are {end_m:g}")
+    if not said:
+        return left, ""
+    return left, f"distance_m: {', '.join(said)}, as where nothing was measured: they are left out"
+
+
+def _can_be(end_m: float, others_m: Floats, range_m: float, *, lowest: bool) -> bool:
+    """Tell whether the lowest or the largest distance can be one, negative if they are relative."""
+    if lowest:
+        return bool(end_m > 0 or (end_m % 1 and np.min(others_m) < 0))
+    codes = np.abs(1000.0 * float(end_m) - np.asarray(_CODES_MM)) < _CODE_MM
+    most_m = min(range_m, _FAR * np.max(np.abs(others_m)) or np.inf)
+    return bool(end_m <= 0 or (end_m <= most_m and not codes.any()))
 
 
 def check_intrinsics(given: Any, shape: tuple[int, int]) -> None:

@@ -164,8 +164,9 @@ class Burst(Shown, AsDataset, AsTable):
         Warns
         -----
         QualityWarning
-            If pitch, frequency or distances can hardly be in mm, Hz and m, or stand for none, or
-            frames seem to lie along another axis than the first.
+            If pitch, frequency or distances can hardly be in mm, Hz and m, or frames seem to lie
+            along another axis than the first; of distances that stand for none, whose pixels are
+            not valid then.
         """
         valid = checks.unmasked(valid, amplitude, distance_m)
         given = checks.as_array(amplitude, "amplitude")
@@ -192,10 +193,15 @@ class Burst(Shown, AsDataset, AsTable):
             modulation_hz=frequencies,
             **fields,
         )
-        doubts = checks.doubts_about_distances(
-            frames, burst.distance_m, burst.valid, burst.frequencies_hz
-        )
-        for doubt in filter(None, [of_axes, doubt_about_pitch(max(grid.pitch_mm)), *doubts]):
+        doubts = [of_axes, doubt_about_pitch(max(grid.pitch_mm))]
+        known = burst.valid, burst.frequencies_hz
+        if burst.distance_m is not None:
+            left, of_codes = checks.unmeasured(burst.amplitude, burst.distance_m, *known)
+            if left.any():
+                burst = replace(burst, valid=burst.valid & ~left)
+            doubts += [of_codes]
+        doubts += [checks.doubt_about_distances(burst.distance_m, *known)]
+        for doubt in filter(None, doubts):
             warn_quality(doubt)
         return burst
 
