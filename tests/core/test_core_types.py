@@ -327,3 +327,30 @@ def test_what_the_camera_sent_has_an_entry_a_frame(sent: object) -> None:
         Burst.from_arrays(
             np.ones((2, 4, 6)), offset_px=np.zeros((2, 2)), pitch_mm=0.1, raw={"sent": sent}
         )
+
+
+@pytest.mark.parametrize("phases", ["one by one", "at each position", "opposite ones together"])
+def test_raw_phases_are_no_pictures(phases: str) -> None:
+    """The warning says how to make phasors of them."""
+    rng = np.random.default_rng(11)
+    light, turn = rng.uniform(1, 2, (1, 4, 5)), rng.uniform(0, 6, (1, 4, 5))
+    waves = np.kron(light * np.exp(1j * turn), np.ones((4, 12, 12))) + rng.normal(
+        0, 0.01, (4, 1, 1)
+    )
+    d = np.stack([3.0 + (waves * 1j**-k).real for k in range(4)], 1)  # [position phase row col]
+    if phases == "opposite ones together":
+        d = d[:, [0, 2, 1, 3]]
+    frames = d.reshape(-1, 48, 60)
+    if phases == "one by one":
+        frames = d.swapaxes(0, 1).reshape(-1, 48, 60)
+    with pytest.warns(QualityWarning, match="look like the four phases of 4 positions") as found:
+        Burst.from_arrays(frames)
+    cure = str(found[0].message).partition("with d = ")[2]
+    how, _, rest = cure.partition(" give phasors, ")
+    told = {"frames": frames, "d": eval(how, {"frames": frames})}
+    np.testing.assert_allclose(eval(rest.partition(", and")[0], told), 2 * waves, atol=1e-9)
+    with warnings.catch_warnings(action="error"):  # pictures, at shifts and of light that differs
+        pictures = [
+            np.roll(light.repeat(12, 1).repeat(12, 2)[0], k % 2, k // 2 % 2) for k in range(8)
+        ]
+        Burst.from_arrays(np.array(pictures) * np.array([1, 2, 4, 8] * 2)[:, None, None])

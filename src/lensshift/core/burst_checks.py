@@ -21,6 +21,8 @@ _CODES_MM = (4095, 8191, 16383, 32767, 65535)  # where counters of millimetres e
 _CODE_MM = 0.01  # of metres in single precision
 # Frames of one scene vary 2 to 20 times less from one to the next than columns do.
 _ALIKE = 0.5
+_BLOCK_PX = 8  # of which means hardly change when pictures move by a pixel
+_ODD, _WAVE = 0.1, 0.1  # most of d0 + d2 - d1 - d3 / waves, least waves / light; root mean squares
 _FEWEST_PX = (0, 10, 32)  # of cameras along rows and columns: shorter axes are none of pictures
 # What SciPy filters in place of half and extended precision, which are formats of files.
 _COMMON: dict[np.dtype[Any], type[np.generic]] = {
@@ -101,6 +103,40 @@ def doubt_about_axes(frames: Array, offset_px: ArrayLike | None) -> str:
     if others:
         raise DataError(doubt, field="amplitude")
     return f"amplitude: {doubt}"
+
+
+def doubt_about_phases(frames: Array) -> str:
+    """Say that frames seem to be the four phases of each position; or "".
+
+    Of phases d0 + d2 = d1 + d3, while d0 - d2 and d1 - d3 are no share of the light, as they are
+    of frames that differ by a gain. Means of blocks hardly change where pictures move.
+    """
+    count, *shape = frames.shape
+    if count % 4 or frames.dtype.kind == "c":
+        return ""
+    steps = [max(1, min(_BLOCK_PX, size // 6)) for size in shape]
+    rows, cols = (np.arange(0, size, step) for size, step in zip(shape, steps, strict=True))
+    plain = np.where(np.isfinite(frames), frames, 0.0)
+    means = np.add.reduceat(np.add.reduceat(plain, rows, 1), cols, 2).reshape(count, -1)
+    at_each = f"frames.reshape({count // 4}, 4, *frames.shape[1:])"
+    one_by_one = f"frames.reshape(4, {count // 4}, *frames.shape[1:]).swapaxes(0, 1)"
+    orders = {at_each: means.reshape(count // 4, 4, -1)}
+    orders[one_by_one] = means.reshape(4, count // 4, -1).swapaxes(0, 1)
+    for told, d in orders.items():
+        for a, b, e, f in ((0, 2, 1, 3), (0, 1, 2, 3)):
+            light = np.mean(d, 1, keepdims=True)
+            waves = np.stack([d[:, a] - d[:, b], d[:, e] - d[:, f]], 1)
+            power = np.maximum(np.sum(light**2, -1, keepdims=True), np.finfo(float).tiny)
+            rest = waves - light * (np.sum(waves * light, -1, keepdims=True) / power)
+            wave = np.sum(rest**2, (1, 2))
+            odd = np.sum((d[:, a] + d[:, b] - d[:, e] - d[:, f]) ** 2, -1)
+            if np.all((odd < _ODD**2 * wave) & (wave > _WAVE**2 * power[:, 0, 0])):
+                return (
+                    f"amplitude: the frames look like the four phases of {count // 4} positions, "
+                    f"not like pictures: with d = {told} give phasors, (d[:, {a}] - d[:, {b}]) + "
+                    f"1j * (d[:, {e}] - d[:, {f}]), and modulation_hz"
+                )
+    return ""
 
 
 def unmasked(valid: ArrayLike | None, *arrays: ArrayLike | None) -> ArrayLike | None:

@@ -193,7 +193,8 @@ class Burst(Shown, AsDataset, AsTable):
             modulation_hz=frequencies,
             **fields,
         )
-        doubts = [of_axes, doubt_about_pitch(max(grid.pitch_mm))]
+        of_phases = checks.doubt_about_phases(frames) if distance_m is None else ""
+        doubts = [of_axes, of_phases, doubt_about_pitch(max(grid.pitch_mm))]
         known = burst.valid, burst.frequencies_hz
         if burst.distance_m is not None:
             left, of_codes = checks.unmeasured(burst.amplitude, burst.distance_m, *known)
