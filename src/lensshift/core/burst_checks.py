@@ -112,10 +112,9 @@ def doubt_about_phases(frames: Array) -> str:
     of frames that differ by a gain. Means of blocks hardly change where pictures move.
     """
     count, *shape = frames.shape
-    if count % 4 or frames.dtype.kind == "c":
+    if count < 8 or count % 4 or frames.dtype.kind == "c" or min(shape) < 2 * _BLOCK_PX:
         return ""
-    steps = [max(1, min(_BLOCK_PX, size // 6)) for size in shape]
-    rows, cols = (np.arange(0, size, step) for size, step in zip(shape, steps, strict=True))
+    rows, cols = (np.arange(0, size, _BLOCK_PX) for size in shape)
     plain = np.where(np.isfinite(frames), frames, 0.0)
     means = np.add.reduceat(np.add.reduceat(plain, rows, 1), cols, 2).reshape(count, -1)
     at_each = f"frames.reshape({count // 4}, 4, *frames.shape[1:])"
