@@ -125,3 +125,14 @@ def test_refusals_come_before_the_work(
 ) -> None:
     refused(["reconstruct", burst_file, *options], 2, said)
     assert fake.calls == []
+
+
+def test_a_calibration_of_opencv_says_where_pixels_look(
+    call: Call, burst_file: Path, refused: Refused, tmp_path: Path
+) -> None:
+    calibration = tmp_path / "calib.json"
+    calibration.write_text('{"camera_matrix": [[6, 0, 3], [0, 6.5, 2], [0, 0, 1]]}')
+    told = ["convert", burst_file, tmp_path / "a.nc", "--intrinsics", calibration]
+    assert call(*told).exit_code == 0
+    assert load_burst(tmp_path / "a.nc").intrinsics == Pinhole(6, 6.5, 3, 2)
+    refused([*told, *ANGLE], 2, "give one of them")

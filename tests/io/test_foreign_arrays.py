@@ -82,9 +82,9 @@ def test_what_xarray_saves_is_read_as_ours(tmp_path: Path, of: str) -> None:
     np.testing.assert_array_equal(image, result["amplitude"].image)
 
 
-@pytest.mark.parametrize("extra", ["offset_um", "K", "modulation_mhz"])
+@pytest.mark.parametrize("extra", ["offset_um", "K_px", "modulation_mhz"])
 def test_what_has_another_name_is_named_whatever_its_shape(tmp_path: Path, extra: str) -> None:
-    values = {"offset_um": np.zeros((4, 2)), "K": np.eye(3), "modulation_mhz": np.float64(20)}
+    values = {"offset_um": np.zeros((4, 2)), "K_px": np.eye(3), "modulation_mhz": np.float64(20)}
     np.savez(tmp_path / "a.npz", amplitude=FRAMES, **{extra: values[extra]})
     with pytest.warns(QualityWarning, match=f"nothing is done with {extra};"):
         load_image_stack(tmp_path / "a.npz")

@@ -25,6 +25,12 @@ class PointOptions:
     fov_deg: str | None = option(None, "Field of view in degrees, border to border: 60, or 60x45.")
     focal_length_px: float | None = option(None, "Focal length in pixels of the camera.")
     focal_length_mm: float | None = option(None, "Focal length.")
+    intrinsics_file: Path | None = option(
+        None,
+        "Camera matrix and distortion: YAML, XML or JSON of OpenCV, camera_info of ROS, NPZ.",
+        "--intrinsics",
+        metavar="FILE",
+    )
     lens: str | None = option(None, "Trace this lens (a name or a file) for directions.")
     normals: bool = option(False, "Normals in .ply and .pcd.")
     keep_flying: bool = option(
@@ -35,12 +41,16 @@ class PointOptions:
         """Return where the pixels of a camera look: as told here, else what is known."""
         from lensshift.core.intrinsics import Pinhole
 
-        given = (self.fov_deg, self.focal_length_px, self.focal_length_mm, self.lens)
-        if sum(one is not None for one in given) > 1:
+        by_length = (self.fov_deg, self.focal_length_px, self.focal_length_mm)
+        if sum(one is not None for one in (*by_length, self.intrinsics_file, self.lens)) > 1:
             raise typer.BadParameter(
-                "--fov-deg, --focal-length-px, --focal-length-mm and --lens all say where the "
-                "pixels look; give one of them"
+                "--fov-deg, --focal-length-px, --focal-length-mm, --intrinsics and --lens all say "
+                "where the pixels look; give one of them"
             )
+        if self.intrinsics_file is not None:
+            from lensshift.io.camera_matrix import load_pinhole
+
+            return load_pinhole(self.intrinsics_file, grid.shape)
         by_mm = "--focal-length-mm" if self.focal_length_mm is not None else "--lens"
         if (self.focal_length_mm, self.lens) != (None, None) and not grid.tells_pitch():
             raise typer.BadParameter(f"{by_mm} needs to know how large a pixel is: --pitch-mm")
@@ -73,7 +83,7 @@ def refuse_points(
         if intrinsics is None:
             raise typer.BadParameter(
                 f"{path}: points need to know where the pixels look; give --fov-deg, "
-                "--focal-length-px, --focal-length-mm or --lens"
+                "--focal-length-px, --focal-length-mm, --intrinsics FILE or --lens"
             )
 
 

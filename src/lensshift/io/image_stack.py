@@ -17,6 +17,7 @@ from lensshift.core.errors import DataError, warn_quality
 from lensshift.core.settings import parse_json
 from lensshift.core.types import Burst, OffsetSource
 from lensshift.io import image_file
+from lensshift.io.camera_matrix import DISTORTIONS, MATRICES, pinhole_of
 from lensshift.io.container_reader import is_ours
 from lensshift.io.fits_file import wcs_cards
 from lensshift.io.foreign_arrays import chosen, has_names, load_named_arrays
@@ -307,6 +308,7 @@ def _named_fields(path: Path, key: str | None, frame_axis: int | None) -> dict[s
                 fields[scalar] = convert(arrays[scalar])
     with reading(path):
         intrinsics = intrinsics_of_fields({one: arrays[one] for one in NAMES if one in arrays})
+        intrinsics = intrinsics or pinhole_of(arrays)
     return fields if intrinsics is None else fields | {"intrinsics": intrinsics}
 
 
@@ -323,6 +325,7 @@ def _joined(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 def _warn_of_unread(path: Path, arrays: Mapping[str, Any], name: str, key: str | None) -> None:
     """Warn of what nothing is done with; beside frames that a key chose, stacks may be others."""
     known = {name, *_STACKS, *_PLAIN, *_SCALARS, *NAMES, "flying", "truth"}  # of simulations
+    known |= {*MATRICES, *DISTORTIONS} if pinhole_of(arrays) else set()
     shape = arrays[name].shape
     left = [one for one, v in arrays.items() if key is None or v.ndim < 3 or v.shape == shape]
     if unread := [one for one in left if one not in known]:
