@@ -12,7 +12,13 @@ import scipy.io
 from lensshift import reconstruct
 from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.types import Burst
-from lensshift.io import load_burst, load_image_stack, load_reconstruction, save_burst
+from lensshift.io import (
+    export_reconstruction,
+    load_burst,
+    load_image_stack,
+    load_reconstruction,
+    save_burst,
+)
 from lensshift.io.container_reader import is_ours
 from lensshift.io.foreign_arrays import load_named_arrays
 from lensshift.io.reading import memory_limit
@@ -226,3 +232,11 @@ def test_signs_in_names_are_no_other_kind_of_image(tmp_path: Path) -> None:
         np.save(tmp_path / f"at{place}.npy", FRAMES[0])
     with warnings.catch_warnings(action="error"):
         assert load_image_stack(tmp_path).frame_count == 4
+
+
+def test_a_result_is_read_without_complaints_of_its_own_fields(tmp_path: Path) -> None:
+    result = reconstruct(demo_burst()[0], method="shift-and-add")
+    export_reconstruction(result, tmp_path / "a.npz")
+    with warnings.catch_warnings(action="error"):
+        again = load_image_stack(tmp_path / "a.npz")
+    np.testing.assert_array_equal(again.amplitude[0], result["amplitude"].image)

@@ -8,14 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from lensshift.cli.inputs import (
-    Kind,
-    StackOptions,
-    kind_of,
-    load_input_burst,
-    refuse_overwriting,
-    source_of,
-)
+from lensshift.cli import inputs
+from lensshift.cli.inputs import Kind, StackOptions
 from lensshift.cli.points import CLOUD_SUFFIXES, PointOptions, refuse_points
 from lensshift.cli.session import Progress, Session, picked
 from lensshift.cli.verbs import argument, option, verb
@@ -45,7 +39,7 @@ class _ConvertOptions:
     @property
     def source(self) -> Path:
         """The only input, or the folder of several images."""
-        return source_of(self.sources)
+        return inputs.source_of(self.sources)
 
 
 @verb()
@@ -62,9 +56,9 @@ def convert(current: Session, asked: _ConvertOptions) -> None:
       lensshift convert sr.nc sr.mcap --fov-deg 60x45
     """
     source, target = asked.source, asked.target
-    refuse_overwriting((*asked.sources, asked.stack.offsets), (target,))
+    inputs.refuse_overwriting((*asked.sources, asked.stack.offsets), (target,))
     current.result |= {"input": source, "files": [target]}
-    kind = kind_of(source) if len(asked.sources) == 1 else Kind.STACK
+    kind = inputs.kind_of(source) if len(asked.sources) == 1 else Kind.STACK
     pictures = kind in (Kind.RECONSTRUCTION, Kind.SEQUENCE)
     if pictures and target.suffix.lower() in STREAM_SUFFIXES:
         _convert_stream(current, asked)
@@ -85,7 +79,7 @@ def _convert_stream(current: Session, asked: _ConvertOptions) -> None:
     from lensshift.io.stream_export import export_stream
 
     source, target, window = asked.source, asked.target, asked.window
-    if kind_of(source) is Kind.RECONSTRUCTION:
+    if inputs.kind_of(source) is Kind.RECONSTRUCTION:
         export_stream([(0.0, _looking(load_reconstruction(source), asked))], target)
     else:
         known = sequence_numbers(source)
@@ -122,7 +116,7 @@ def _convert_burst(asked: _ConvertOptions) -> None:
             f"{target}: a burst becomes a burst file ({', '.join(CONTAINER_SUFFIXES)}), .npz, "
             ".tif, .ome.tif or .fits"
         )
-    burst = load_input_burst(asked.sources, asked.stack)
+    burst = inputs.load_input_burst(asked.sources, asked.stack)
     burst = replace(burst, intrinsics=asked.points.intrinsics(burst.grid, burst.intrinsics))
     if suffix in CONTAINER_SUFFIXES:
         save_burst(burst, target)

@@ -9,15 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from lensshift.cli.inputs import (
-    FRAME_AXES,
-    Kind,
-    StackOptions,
-    kind_of,
-    load_input_burst,
-    several,
-    source_of,
-)
+from lensshift.cli import inputs
+from lensshift.cli.inputs import Kind, StackOptions
 from lensshift.cli.points import view_of, view_text
 from lensshift.cli.reconstruct import say_channels
 from lensshift.cli.register import say_turns
@@ -65,7 +58,7 @@ def info(current: Session, asked: _InfoOptions) -> None:
         if not asked.devices:
             raise typer.BadParameter("Missing argument: a file, or --devices")
         return
-    file = source_of(asked.files)
+    file = inputs.source_of(asked.files)
     if len(asked.files) > 1:
         current.result |= {"file": file, "kind": Kind.STACK.value, "schema": None}
         _say_stack(current, asked.files, asked.stack, f"{file}: {len(asked.files)} images")
@@ -81,7 +74,7 @@ def info(current: Session, asked: _InfoOptions) -> None:
         current.result |= {"file": file, "kind": "lens field"}
         say_field(current, load_lens_field(file))
         return
-    kind = kind_of(file)
+    kind = inputs.kind_of(file)
     current.result |= {"file": file, "kind": kind.value, "schema": schema}
     heading = f"{file}: {kind.value}" + (f", schema {schema}" if schema else "")
     # Bursts and results are read before a word is said: they may be damaged.
@@ -93,7 +86,7 @@ def info(current: Session, asked: _InfoOptions) -> None:
     elif kind is Kind.STACK:
         _say_stack(current, [file], asked.stack, heading)
     else:
-        _say_burst(current, load_input_burst([file], asked.stack), heading)
+        _say_burst(current, inputs.load_input_burst([file], asked.stack), heading)
 
 
 def _say_toml(current: Session, file: Path) -> None:
@@ -151,9 +144,11 @@ def _say_stack(current: Session, files: Sequence[Path], stack: StackOptions, hea
     """Describe the images, also phasors of which nobody told the frequencies yet."""
     from lensshift.io.image_stack import load_stack_fields
 
-    source = files[0] if len(files) == 1 else several(files)
+    source = files[0] if len(files) == 1 else inputs.several(files)
     try:
-        fields = load_stack_fields(source, key=stack.key, frame_axis=FRAME_AXES[stack.frame_axis])
+        fields = load_stack_fields(
+            source, key=stack.key, frame_axis=inputs.FRAME_AXES[stack.frame_axis]
+        )
     except DataError as error:
         if stack.key is not None or error.field != "key":
             raise
@@ -161,7 +156,7 @@ def _say_stack(current: Session, files: Sequence[Path], stack: StackOptions, hea
         return
     frames = fields["amplitude"]
     if frames.ndim == 3 or stack.modulation_hz is not None or "modulation_hz" in fields:
-        _say_burst(current, load_input_burst(files, stack), heading)
+        _say_burst(current, inputs.load_input_burst(files, stack), heading)
         return
     current.say(heading)
     _say_frames(current, frames, fields.get("distance_m"), fields.get("valid"))

@@ -25,6 +25,7 @@ from lensshift.io.intrinsics_fields import NAMES, intrinsics_of_fields
 from lensshift.io.offset_table import OffsetTable, load_offsets
 from lensshift.io.reading import reading
 
+_OF_RESULT = {"scale", "method", "settings"}  # beside a picture, which counts as a frame
 _OF_TRUTH = {"sharp_amplitude", "flying_in_frames"}  # what `lensshift simulate` writes beside
 FRAME_KEYS = ("amplitude", "frames", "LR")
 _NUMBER = re.compile("-?[0-9]+")  # in a name
@@ -324,6 +325,8 @@ def _joined(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 def _warn_of_unread(path: Path, arrays: Mapping[str, Any], name: str, key: str | None) -> None:
     """Warn of what nothing is done with; beside frames that a key chose, stacks may be others."""
+    if arrays.keys() >= _OF_RESULT:
+        return
     known = {name, *_STACKS, *_PLAIN, *_SCALARS, *NAMES, "flying", "truth"}  # of simulations
     known |= {*MATRICES, *DISTORTIONS} if pinhole_of(arrays) else set()
     shape = arrays[name].shape
