@@ -15,6 +15,7 @@ from contextlib import ExitStack
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
+from traceback import TracebackException
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -33,6 +34,7 @@ T = TypeVar("T")
 # Longer than a lens takes from one end of its way to the other, or a camera to wake up; and than
 # anything that moves nothing.
 MOST_S = 60.0
+_MOST_WORDS = 300  # of an error: some hold all that they could not read
 _MOVE = "move_timeout_s"  # entry of a stage that may take longer
 
 
@@ -118,11 +120,12 @@ class _Named:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+    def __exit__(self, kind: Any, error: BaseException | None, trace: object) -> None:
         passing = DeviceError | Ended if self._what else DataError | DeviceError | Ended
-        ours = isinstance(error, passing)
-        if isinstance(error, Exception | SystemExit) and not ours:  # of `sys.exit` in a library
-            problem = f"{type(error).__name__}: {error}"
+        # All else, `sys.exit` and what asyncio cancels as well: only Ctrl-C is not of the library.
+        if error is not None and not isinstance(error, passing | KeyboardInterrupt):
+            said = str(TracebackException(kind, error, None))  # one that cannot be printed as well
+            problem = f"{kind.__name__}: {said:.{_MOST_WORDS}}"
             if self._kind is DataError:
                 raise DataError(problem, field=self._name) from error
             raise DeviceError(problem, device=self._name, command=self._what) from error
@@ -280,4 +283,4 @@ class _CheckedCamera(_Checked):
         raise self._error(f"expected a {kind.__name__}, got {type(value).__name__}", what)
 
     def counts(self) -> Mapping[str, int]:
-        return self._ask("counts", dict)
+        return self._ask("counts", lambda told: {str(k): int(n) for k, n in dict(told).items()})
