@@ -30,14 +30,17 @@ from lensshift.capture.emulators.rig import EmulatedRig, RigSettings
 from lensshift.capture.rig import CameraFrame
 from lensshift.cli.app import app
 from lensshift.core.errors import DataError
-from lensshift.core.types import Frame
+from lensshift.core.types import Burst, Frame
 from lensshift.io.calibration_file import load_calibration
+from lensshift.pipeline.calibrate import RigCalibration
 from lensshift.pipeline.doctor import Diagnosis, Level, examine, examine_rig, network
 from lensshift.pipeline.doctor.axes import NUDGE_MM, Axes, nudge_findings
+from lensshift.pipeline.doctor.budget import error_budget
 from lensshift.pipeline.doctor.start import rig_text
 from lensshift.pipeline.doctor.view import look, settings_share, view_findings
 from lensshift.registration import calibration_scan_mm
-from lensshift.scene import Plane, Scene
+from lensshift.registration.calibrate import fit_scan
+from lensshift.scene import Plane, Scene, slanted_edge_card
 
 NOMINAL = 0.25 / 0.0444
 QUICK = RigSettings(speed=20.0, rate_hz=40.0, px_per_mm=NOMINAL * np.eye(2))
@@ -211,6 +214,32 @@ def test_a_scene_without_edges(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("slant_deg", [5.0, 33.0])
+def test_a_scene_of_a_single_edge(tmp_path: Path, slant_deg: float) -> None:
+    """It tells no shift along the edge, and the aliases of its steps look like texture."""
+    scene = slanted_edge_card(np.deg2rad(slant_deg))
+    done = examined(tmp_path, replace(QUICK, scene=scene, seed=int(slant_deg)))
+    assert verdict(done) == "FAULT no texture"
+    assert not (tmp_path / "calibration.json").exists()
+
+
+def test_a_map_that_a_scan_does_not_tell_is_a_fault() -> None:
+    rng = np.random.default_rng(5)
+    asked = calibration_scan_mm((3.0, 3.0), 0.3, steps=3)
+    offset_px = (asked - 3.0) * NOMINAL + rng.normal(0.0, 0.004, asked.shape)
+    burst = Burst.from_arrays(
+        rng.random((len(asked), 8, 8)), pitch_mm=0.155, offset_px=offset_px, stage_mm=asked
+    )
+    fit = fit_scan(burst, registered=True, over_sensor=False)
+    for sigma, level in ((0.05, None), (0.8, Level.FAULT)):  # px per mm, along the rows
+        known = replace(fit.calibration, px_per_mm_sigma=np.array([[sigma] * 2, [0.05] * 2]))
+        done = RigCalibration(replace(fit, calibration=known), 0.0, 0.0)
+        budget = error_budget(done, np.zeros(2))
+        assert budget.map == pytest.approx(np.sqrt(2.0) * sigma * 0.0444, rel=0.05)
+        told = next(examine._budget_findings(done, budget), None)
+        assert (told.level if told else None) is level
+
+
 def test_an_image_that_drifts(tmp_path: Path) -> None:
     done = examined(tmp_path, replace(QUICK, drift_px_per_s=(0.0, 0.02)))
     assert verdict(done) == "DOUBT drift"

@@ -119,6 +119,20 @@ def test_the_map_that_planned_the_scan_may_be_wrong(told: list[list[float]]) -> 
     np.testing.assert_allclose(found.stage_map.px_per_mm, rig.px_per_mm, atol=0.06)
 
 
+def test_offsets_are_known_no_better_than_the_map() -> None:
+    """A scene that hardly tells one direction leaves a map whose offsets were called exact."""
+    sigma = np.array([[3.0, 4.0], [0.0, 0.0]])
+    stage_map = StageMap(5.6 * np.eye(2), sigma_px=0.01)
+    found = Calibration(stage_map, np.array([3.0, 5.0]), "measured", px_per_mm_sigma=sigma)
+    places = [[3.0, 5.0], [3.1, 5.0], [3.1, 4.9]]
+    told = found.offset_sigma_px(places)
+    np.testing.assert_allclose(told[0], 0.01)
+    np.testing.assert_allclose(told[1:, 0], [np.hypot(0.3, 0.01), np.hypot(0.5, 0.01)])
+    np.testing.assert_allclose(told[:, 1], 0.01)
+    burst = Burst.from_arrays(np.ones((3, 4, 4)), pitch_mm=0.1, stage_mm=places)
+    assert np.array_equal(found.applied_to(burst)[0].offset_sigma_px, told)
+
+
 def test_one_spoiled_frame_is_left_out() -> None:
     burst = by_hand(Rig(), 0, outlier_px=1.0)
     with pytest.warns(QualityWarning, match="px rms unexplained"):

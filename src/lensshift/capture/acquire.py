@@ -315,7 +315,7 @@ def _record(
     shot: CameraFrame, here_mm: Array, target_mm: Array, calibration: Calibration
 ) -> FrameRecord:
     """Return what is kept of a frame; where its image lies follows from the position read back."""
-    frame, sigma_px = shot.frame, calibration.stage_map.sigma_px
+    frame, known = shot.frame, calibration.stage_map.sigma_px > 0  # 0: nobody knows
     return FrameRecord(
         amplitude=frame.amplitude,
         valid=frame.valid,
@@ -325,7 +325,7 @@ def _record(
         stage_mm=here_mm,
         stage_commanded_mm=target_mm,
         offset_px=calibration.offset_px(here_mm),
-        offset_sigma_px=np.full(2, sigma_px) if sigma_px > 0 else None,  # 0: nobody knows it
+        offset_sigma_px=calibration.offset_sigma_px(here_mm) if known else None,
         raw={**shot.raw, "cycle": np.asarray(shot.cycle)},
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise, permutations
+from itertools import combinations, pairwise, permutations
 from pathlib import Path
 
 import numpy as np
@@ -102,10 +102,8 @@ def _bettered(order: list[int], way: Floats) -> list[int]:
     gained = True
     while gained:
         gained = False
-        for i in range(len(order) - 1):
-            for j in range(i + 2, len(order) + 1):
-                tried = order[:i] + order[i:j][::-1] + order[j:]
-                new = _length(tried, way)
-                if new < length - 1e-12:
-                    order, length, gained = tried, new, True
+        for i, j in combinations(range(len(order) + 1), 2):
+            tried = order[:i] + order[i:j][::-1] + order[j:]
+            if (new := _length(tried, way)) < length - 1e-12:
+                order, length, gained = tried, new, True
     return order

@@ -53,8 +53,9 @@ def doctor(current: Session, asked: _DoctorOptions) -> None:
         homing = homing_asked(yes=asked.yes)
         rig = asked.rig or asked.file
         done = examine_rig(rig, folder, on_homing=homing, on_step=show.named)
-    if asked.rig is None and done.calibration is not None:
-        with_calibration(asked.file, folder / "calibration.json")
+    filed = folder / "calibration.json"
+    if asked.rig is None and filed in done.files:
+        with_calibration(asked.file, filed)
     _say(current, done)
     current.failed = done.level is Level.FAULT
 

@@ -128,6 +128,12 @@ class Calibration:
         away_mm = np.asarray(stage_mm, dtype=np.float64) - self.rest_mm
         return np.asarray(away_mm @ self.stage_map.px_per_mm.T)
 
+    def offset_sigma_px(self, stage_mm: ArrayLike) -> Floats:
+        """Return standard errors [... 2] of `offset_px`: of each place, and of the map."""
+        away_mm = np.asarray(stage_mm, dtype=np.float64) - self.rest_mm
+        of_map = np.zeros((2, 2)) if self.px_per_mm_sigma is None else self.px_per_mm_sigma
+        return np.asarray(np.sqrt(self.stage_map.sigma_px**2 + away_mm**2 @ of_map.T**2))
+
     def stage_mm(self, offset_px: ArrayLike) -> Floats:
         """Return the stage positions [... 2] that make image offsets [... 2]."""
         wanted = np.asarray(offset_px, dtype=np.float64)
@@ -160,7 +166,7 @@ class Calibration:
         told = replace(
             burst,
             offset_px=self.offset_px(burst.stage_mm),
-            offset_sigma_px=np.full((burst.frame_count, 2), self.stage_map.sigma_px),
+            offset_sigma_px=self.offset_sigma_px(burst.stage_mm),
             offset_source=self.offset_source,
             meta={**burst.meta, **self.of_camera},
         )

@@ -43,6 +43,7 @@ class ScanFit:
     field_order : degree of the polynomial over the sensor, 0: the same everywhere; with a lens
         field that of what the scan adds to it
     lens_field : the one that was told, with what the scan adds to it, or None
+    jump : in words, after which frame the image lies elsewhere; then the drift is not known
     """
 
     calibration: Calibration
@@ -51,6 +52,7 @@ class ScanFit:
     direction: Floats
     field_order: int
     lens_field: LensField | None = None
+    jump: str = ""
 
 
 def calibrate(burst: Burst, **options: Any) -> Calibration:
@@ -135,8 +137,8 @@ def fit_scan(
     sigma_px = float(np.sqrt(np.mean(residual**2) * scale))
     told_px2 = np.diagonal(known_px2).reshape(-1, 2).mean(axis=0)
     blind = told_px2 > 0.5 * np.mean(residual**2, axis=0)
-    if not blind.all() and (said := jump_in(design, burst.offset_px[:, ~blind])):
-        warn_quality(said, 2)
+    if jump := "" if blind.all() else jump_in(design, burst.offset_px[:, ~blind]):
+        warn_quality(jump, 2)
     _warn(sigma_px, matrix, sigma[:2].T, blind=blind)
     if lens_field is not None and bent is not None:
         lens_field, matrix = _refined(lens_field, bent, matrix)
@@ -147,16 +149,13 @@ def fit_scan(
         drift_px_per_s=drift, drift_sigma_px_per_s=drift_sigma,
         notes=_notes(burst, order, lens_field),
     )  # fmt: skip
-    return ScanFit(calibration, burst, residual, direction, order, lens_field)
+    return ScanFit(calibration, burst, residual, direction, order, lens_field, jump)
 
 
 def _notes(burst: Burst, order: int, lens_field: LensField | None) -> dict[str, Any]:
-    return {
-        "frames": burst.frame_count,
-        "shape": list(burst.grid.shape),
-        "pitch_mm": list(burst.grid.pitch_mm),
-        "field_order": order,
-    } | ({} if lens_field is None else {"optics": lens_field.optics})
+    told: dict[str, Any] = {"frames": burst.frame_count, "shape": list(burst.grid.shape)}
+    told |= {"pitch_mm": list(burst.grid.pitch_mm), "field_order": order}
+    return told if lens_field is None else told | {"optics": lens_field.optics}
 
 
 def _slip_px(lens_field: LensField | None, offset_px: Floats) -> Floats | float:

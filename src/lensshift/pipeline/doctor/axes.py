@@ -17,6 +17,7 @@ from lensshift.core.errors import QualityWarning
 from lensshift.core.types import Burst
 from lensshift.io.capture_file import FrameRecord
 from lensshift.pipeline.doctor.findings import Finding, Level
+from lensshift.registration.likelihood import UNKNOWN_PX
 from lensshift.registration.register import register
 
 NUDGE_MM = 0.05  # about a quarter pixel, several times the play
@@ -136,6 +137,13 @@ def _axes(offset_px: Floats, sigma_px: Floats, read_mm: Floats) -> Axes:
 
 def nudge_findings(axes: Axes, noise_px: Floats) -> Iterator[Finding]:
     """Yield what is wrong with a stage that was nudged, by the noise [2] of a position's frames."""
+    told_px = axes.sigma_px_per_mm.max(axis=1) * NUDGE_MM
+    if told_px.max() > UNKNOWN_PX:
+        name, most_px = _NAMES[int(np.argmax(told_px))], told_px.max()
+        said = f"shifts along {name} are known to {most_px:.1f} px only: edges in one direction"
+        cure = "put a chart with edges in several directions into the view"
+        yield Finding(Level.FAULT, "no texture", said, cure)
+        return
     size_px = axes.gain_px_per_mm * NUDGE_MM
     error_px = float(np.sqrt(2.0) * np.linalg.norm(noise_px))
     stuck = size_px < max(_UNSEEN_PX, _UNSEEN_SIGMAS * error_px)

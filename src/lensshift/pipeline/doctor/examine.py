@@ -243,12 +243,13 @@ def _calibrated(
         done.calibration = calibrate_rig(scan, photometric=done.view.jumps or None)
     said = dict.fromkeys(str(one.message) for one in doubts)
     done.findings += [Finding(Level.DOUBT, "calibration", one) for one in said]
-    save_calibration(done.calibration.calibration, calibration_file)
-    done.files.append(calibration_file)
     done.axes = Axes.calibrated(done.calibration.calibration)
-    done.findings += map_findings(done.axes, told.calibration)
     done.budget = error_budget(done.calibration, reading_mm / np.sqrt(averages))
     done.findings += _budget_findings(done.calibration, done.budget)
+    if done.level < Level.FAULT:
+        save_calibration(done.calibration.calibration, calibration_file)
+        done.files.append(calibration_file)
+        done.findings += map_findings(done.axes, told.calibration)
 
 
 def _scan_mm(stage: Stage, rough: Calibration) -> Floats:
@@ -282,7 +283,11 @@ def _room_for(path: Path, averages: int, camera: Camera) -> None:
 
 def _budget_findings(done: RigCalibration, budget: ErrorBudget) -> Iterator[Finding]:
     found = done.calibration
-    if not budget.good:
+    if budget.map > BUDGET_PX:  # of a quarter of a pixel: worse than none
+        said = f"the scan does not tell the map: a shift by a quarter pixel to {budget.map:.3f} px"
+        name = "no texture" if budget.registration > budget.model else "calibration"
+        yield Finding(Level.FAULT, name, f"{said}; no calibration is filed", budget.cure)
+    elif not budget.good:
         parts = ", ".join(f"{name} {value:.4f}" for name, value in budget.parts.items())
         said = f"the shift of a frame is known to {budget.shift_px:.4f} px only ({parts})"
         yield Finding(Level.DOUBT, "calibration", said, budget.cure)
@@ -292,7 +297,7 @@ def _budget_findings(done: RigCalibration, budget: ErrorBudget) -> Iterator[Find
         scan_s * float(np.linalg.norm(one))
         for one in (found.drift_px_per_s, found.drift_sigma_px_per_s)
     )
-    if way > max(BUDGET_PX, _TOLD_DRIFT_SIGMAS * error):
+    if way > max(BUDGET_PX, _TOLD_DRIFT_SIGMAS * error) and not done.fit.jump:
         said = f"the image drifted by {way:.3f} +- {error:.3f} px in the {scan_s:.0f} s of the scan"
         cure = "let camera and bench warm up; clamp both"
         yield Finding(Level.DOUBT, "drift", said, cure)
