@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lensshift.core.errors import DataError
+from lensshift.core.errors import DataError, QualityWarning
 from lensshift.core.intrinsics import Pinhole
 from lensshift.io import load_image_stack
 from lensshift.io.camera_matrix import load_pinhole
@@ -83,8 +83,8 @@ def test_arrays_by_the_names_of_calibrate_camera_are_read(tmp_path: Path) -> Non
     [
         (FILES["ros.yaml"].replace("plumb_bob", "equidistant"), "no pinhole; from Python"),
         (FILES["ros.yaml"].replace("176", "352"), "expected the width 176 of the frames, got 352"),
-        ('{"P": [1, 2, 3]}', "expected a camera matrix by a name like"),
-        (json.dumps({"K": np.ones((3, 3)).tolist()}), "K: expected fx 0 cx, 0 fy cy, 0 0 1"),
+        ('{"P": [1, 2, 3]}', "expected fx 0 cx, 0 fy cy, 0 0 1 by a name like"),
+        (json.dumps({"K": np.ones((3, 3)).tolist()}), "expected fx 0 cx, 0 fy cy, 0 0 1"),
         (json.dumps({"K": K, "D": [0.1] * 8}), "8 numbers of distortion"),
     ],
 )
@@ -93,3 +93,12 @@ def test_what_is_no_pinhole_of_the_frames_is_refused(tmp_path: Path, text: str, 
     path.write_text(text)
     with pytest.raises(DataError, match=said):
         load_pinhole(path, SHAPE)
+
+
+def test_another_matrix_of_that_name_is_told_and_not_read(tmp_path: Path) -> None:
+    kernel = np.outer([1.0, 2.0, 1.0], [1.0, 2.0, 1.0])
+    frames = np.random.default_rng(3).normal(10.0, 1.0, (4, 12, 17))
+    np.savez(tmp_path / "a.npz", frames=frames, k=kernel)
+    with pytest.warns(QualityWarning, match="nothing is done with k"):
+        burst = load_image_stack(tmp_path / "a.npz")
+    assert burst.intrinsics is None

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lensshift.core.arrays import Floats
 from lensshift.core.errors import DataError
 from lensshift.core.intrinsics import Pinhole
 from lensshift.core.settings import read_text
@@ -48,26 +49,35 @@ def load_pinhole(path: Path, shape: tuple[int, int]) -> Pinhole:
                     raise DataError(f"{problem}; calibrate at the size at which they were taken")
         pinhole = pinhole_of(found)
         if pinhole is None:
-            raise DataError(f"expected a camera matrix by a name like {', '.join(MATRICES[:5])}")
+            form = "fx 0 cx, 0 fy cy, 0 0 1"
+            raise DataError(f"expected {form} by a name like {', '.join(MATRICES[:5])}")
         return pinhole
 
 
 def pinhole_of(fields: Mapping[str, ArrayLike]) -> Pinhole | None:
-    """Return the pinhole of a matrix [3 3] among fields, None without; DataError if it is none."""
-    name = next((one for one in MATRICES if np.size(fields.get(one, ())) == 9), None)
-    if name is None:
+    """Return the pinhole of a camera matrix [3 3] among fields, None without one."""
+    found = ((one, _matrix(fields[one])) for one in MATRICES if one in fields)
+    name, matrix = next((pair for pair in found if pair[1] is not None), ("", None))
+    if matrix is None:
         return None
-    matrix = np.reshape(np.asarray(fields[name], np.float64), (3, 3))
-    if matrix[0, 2] == 0 != matrix[2, 0]:  # as MATLAB has it
-        matrix = matrix.T
-    if np.any(matrix[[0, 1, 2, 2], [1, 0, 0, 1]]) or matrix[2, 2] != 1:
-        raise DataError("expected fx 0 cx, 0 fy cy, 0 0 1", field=name)
     told = next((fields[one] for one in DISTORTIONS if one in fields), ())
     distortion = np.ravel(np.asarray(told, np.float64))
     if np.any(distortion[5:]):
         raise DataError(f"{distortion.size} numbers of distortion; {_CURE}", field=name)
     (fx_px, _, cx_px), (_, fy_px, cy_px), _ = matrix.tolist()
     return Pinhole(fx_px, fy_px, cx_px, cy_px, *distortion[:5].tolist())
+
+
+def _matrix(given: ArrayLike) -> Floats | None:
+    """Return fx 0 cx, 0 fy cy, 0 0 1, or None of anything else that has such a name."""
+    values = np.asarray(given)
+    if values.size != 9 or values.dtype.kind not in "fiu":
+        return None
+    matrix = values.reshape(3, 3).astype(np.float64)
+    if matrix[0, 2] == 0 != matrix[2, 0]:  # as MATLAB has it
+        matrix = matrix.T
+    pinhole = not np.any(matrix[[0, 1, 2, 2], [1, 0, 0, 1]]) and matrix[2, 2] == 1
+    return matrix if pinhole and np.all(np.diag(matrix) > 0) else None
 
 
 def _numbers(text: str, name: str) -> list[float] | None:
