@@ -234,6 +234,43 @@ def test_more_noise_is_no_other_scene(waves):
     assert max(ratios) < 0.6
 
 
+def wall_and_boxes(seed):
+    """Return phasors of a wall with four boxes before it, each of its own light and distance."""
+    rng, (rows, cols) = np.random.default_rng(seed), (SCALE * SHAPE[0], SCALE * SHAPE[1])
+    light, far_m = np.full((rows, cols), rng.uniform(0.2, 2)), np.full((rows, cols), 4.0)
+    far_m += rng.uniform(-1, 1)
+    for top, left in zip(rng.integers(0, rows - 12, 4), rng.integers(0, cols - 12, 4), strict=True):
+        box = (slice(top, top + rng.integers(5, 12)), slice(left, left + rng.integers(5, 12)))
+        light[box], far_m[box] = rng.uniform(0.2, 3), rng.uniform(1, 3)
+    return light * np.exp(1j * PER_M * far_m)
+
+
+def steps(one, truth, numbers, sigma, rng):
+    """Step through frames of amplitudes and distances; return pictures and what was said."""
+    clean, found = clean_frames(truth), []
+    with warnings.catch_warnings(record=True, action="always", category=QualityWarning) as said:
+        for number in numbers:
+            z = clean[number % 4] + sigma * (
+                rng.standard_normal(SHAPE) + 1j * rng.standard_normal(SHAPE)
+            )
+            far_m = np.angle(z) % (2 * np.pi) / PER_M
+            seen = Frame(np.abs(z), far_m, np.ones(SHAPE, bool), float(number))
+            found.append(one.step(seen, place=number % 4))
+    return found, [str(text.message) for text in said]
+
+
+@pytest.mark.parametrize("seed", range(301, 305))
+def test_another_scene_after_noise_is_no_other_light(seed):
+    """A wall that takes the place of another one is a gain to what follows frames."""
+    rng, one = np.random.default_rng(seed), camera(modulation_hz=15e6)
+    before, after = wall_and_boxes(seed), wall_and_boxes(seed + 100)
+    steps(one, before, range(5), 0.01, rng)
+    steps(one, before, range(5, 10), 0.04, rng)
+    found, said = steps(one, after, range(10, 14), 0.01, rng)
+    assert [picture.settings["event"] for picture in found] == ["scene changed", None, None, None]
+    assert not any("something moved" in text or "does not fit" in text for text in said)
+
+
 def test_a_lens_that_rests_streams_as_well():
     before, after = scene(33).truth, scene(34).truth
     rng, at = np.random.default_rng(5), np.zeros((1, 2))

@@ -331,10 +331,8 @@ def _with_gain(
 ) -> tuple[Estimate, Estimate]:
     """Return amplitude and distance of phasors times a local factor."""
     gain, predictor = 1 + _change(view), _predictor_of(light)
-    phasor, coarse = (
-        replace(predictor, image=predictor.image * gain),
-        _on_grid_of(light.image, gain),
-    )
+    phasor = replace(predictor, image=predictor.image * gain)
+    coarse = _on_grid_of(light.image, gain)
     brighter = replace(
         light,
         image=light.image * np.abs(coarse),

@@ -92,9 +92,7 @@ class Known:
         if not changed:  # as of a frame without distances
             return {}, MOST
         name, first = next(iter(changed.items()))
-        if 2 * np.sum(first.valid) < np.sum(
-            views[name].valid
-        ):  # the frame before showed too little
+        if 2 * np.sum(first.valid) < np.sum(views[name].valid):  # too little was seen before
             return {}, MOST
         squares = views[name].without(first.change).squares
         allowed = first.variance

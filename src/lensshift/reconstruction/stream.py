@@ -220,15 +220,15 @@ class Stream:
         noise = 0.0 if self._known is None else self._known.noise_sigma
         if not (self._moved and noise):
             return window
-        old = differing(window, sorted(self._frames).index(self.frames[-1]), noise)
-        old &= np.any([*self._moved.values()], axis=0)
+        places, since = sorted(self._frames), np.zeros(window.grid.shape, np.bool_)
+        old = differing(window, places.index(self.frames[-1]), noise)
+        for place in reversed(self.frames):  # what moved before a frame is none of its faults
+            old[places.index(place)] &= since
+            since = since | self._moved.get(place, False)
         return replace(window, valid=window.valid & ~old) if old.any() else window
 
-    def _note_moved(self, frame: Frame, at: int, share: float) -> None:
+    def _note_moved(self, moved: Mask, at: int) -> None:
         """Take note of where a frame is not that of its place before; a round later it is."""
-        if self._known is None or (share <= RESTS and not self._moved):
-            return
-        moved = self._known.moved(frame, at)
         if len(self._moved) == self._template.frame_count:
             over = np.all([*self._moved.values()], axis=0) & ~moved
             self._moved = {k: one & ~over for k, one in self._moved.items()}
@@ -299,7 +299,8 @@ class Stream:
         if best == at and share > RESTS and is_noisier(changed):
             return at, None, False
         if best == at and share <= RESTS:
-            self._note_moved(frame, at, share)
+            if self._moved:
+                self._note_moved(known.moved(frame, at), at)
             if self._pace != "refined":
                 self._known = replace(known, followed=known.followed.by(changed))
             return at, None, True
@@ -317,10 +318,12 @@ class Stream:
                 return best, "frame twice", False
             self._warn(f"frames were lost: the one after place {last} is of {best}")
             return best, "frames lost", False
-        if share > MOST:
+        # What follows frames takes another wall for other light and distance of the one before.
+        moved = known.moved(frame, at)
+        if max(share, float(np.mean(moved))) > MOST:
             self._warn("the scene changed: what was seen before is left out")
             return at, "scene changed", False
-        self._note_moved(frame, at, share)
+        self._note_moved(moved, at)
         return at, None, False
 
     def _warn(self, text: str) -> None:
