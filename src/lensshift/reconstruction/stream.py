@@ -220,11 +220,14 @@ class Stream:
         noise = 0.0 if self._known is None else self._known.noise_sigma
         if not (self._moved and noise):
             return window
-        places, since = sorted(self._frames), np.zeros(window.grid.shape, np.bool_)
-        old = differing(window, places.index(self.frames[-1]), noise)
-        for place in reversed(self.frames):  # what moved before a frame is none of its faults
-            old[places.index(place)] &= since
-            since = since | self._moved.get(place, False)
+        places, never = sorted(self._frames), np.zeros(window.grid.shape, np.bool_)
+        old, latest = differing(window, places.index(self.frames[-1]), noise), self.frames[-1]
+        since, now = never, self._moved.get(latest, never)
+        # Frames from before something moved, or which alone show it; none is old by what is older.
+        for place in reversed(self.frames):
+            moved = self._moved.get(place, never)
+            old[places.index(place)] &= since | (moved & ~now)
+            since = since | moved
         return replace(window, valid=window.valid & ~old) if old.any() else window
 
     def _note_moved(self, moved: Mask, at: int) -> None:
