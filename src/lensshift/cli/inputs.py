@@ -81,7 +81,8 @@ def kind_of(path: Path) -> Kind:
 
 def source_of(given: Sequence[Path]) -> Path:
     """Return the name of what is read: the only path, or the folder of several images."""
-    return given[0] if len(given) == 1 else given[0].parent
+    folder = given[0].parent
+    return given[0] if len(given) == 1 else folder if folder.name else folder.absolute()
 
 
 def several(given: Sequence[Path]) -> list[Path]:
