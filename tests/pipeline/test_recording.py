@@ -165,6 +165,33 @@ def test_another_recording_of_the_same_name_is_not_gone_on_with(film: Path, tmp_
         reconstruct_recording(film, tmp_path / "sr.nc", window=4)
 
 
+def test_pictures_of_two_versions_are_not_put_together(
+    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def cut(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        reconstruct_recording(film, tmp_path / "sr.nc", window=4, on_progress=cut)
+    with pytest.raises(DataError, match=r"begun with other settings .*\(every 4, not 1, count 11"):
+        reconstruct_recording(film, tmp_path / "sr.nc", window=4, every=1)
+    monkeypatch.setattr(recording, "software", lambda: "lensshift 99.0")
+    with pytest.raises(DataError, match=r"\(software lensshift .*, not lensshift 99\.0\)"):
+        reconstruct_recording(film, tmp_path / "sr.nc", window=4)
+
+
+def test_a_recording_that_is_replaced_meanwhile_ends_the_run(film: Path, tmp_path: Path):
+    """The pictures of the other one were put behind those of the first, without a word."""
+
+    def other(done: int, total: int) -> None:
+        if done == 3:
+            write_recording(film, 46, (part(k, 1) for k in range(100, 146)))
+
+    with pytest.raises(DataError, match=r"film\.nc: another recording or program"):
+        reconstruct_recording(film, tmp_path / "sr.nc", window=4, on_progress=other)
+    assert not (tmp_path / "sr.nc").exists()
+
+
 def test_each_window_is_what_a_stream_makes_of_its_frames(film: Path, tmp_path: Path):
     found = reconstruct_recording(film, tmp_path / "sr.nc", window=4, every=2)
     assert (found.windows, found.resumed) == (22, 0)

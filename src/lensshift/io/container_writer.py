@@ -154,7 +154,7 @@ def _write_hdf5(content: Content, lengths: Mapping[str, int], file: _Enduring) -
         "axes": list(content.axes),
         "Conventions": "CF-1.11",
         "schema": sealed_text(content.schema),
-        "software": f"lensshift {_version()}",
+        "software": software(),
         **content.attributes,
     })  # fmt: skip
     with h5netcdf.File(file, "w", libver=_LIBVER) as made:
@@ -275,10 +275,11 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"a {type(value).__name__} cannot be stored")
 
 
-def _version() -> str:
+def software() -> str:
+    """Return the name and the version of this program."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:
-        return version("lensshift")
+        return f"lensshift {version('lensshift')}"
     except PackageNotFoundError:
-        return "(not installed)"
+        return "lensshift (not installed)"

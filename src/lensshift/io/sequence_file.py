@@ -34,6 +34,7 @@ from lensshift.core.atomic import GrowingFile, writable_target
 from lensshift.core.errors import DataError
 from lensshift.core.grid import Grid
 from lensshift.core.intrinsics import Intrinsics
+from lensshift.core.settings import parse_json
 from lensshift.core.types import Estimate, Reconstruction, Status
 from lensshift.io import container_writer as writer
 from lensshift.io.capture_file import lock
@@ -70,7 +71,7 @@ class PiecewiseFile(GrowingFile):
 
     @classmethod
     def begin(cls, path: str | Path, content: writer.Content, begun: str) -> Self:
-        """Allocate a file, or go on with what was `begun` with the same text.
+        """Allocate a file, or go on with what was `begun` with the same text of settings (JSON).
 
         Variables with `Allocated` values are filled later; their first dimension is that of the
         first variable. DataError if there is no room, or the file is another's.
@@ -96,9 +97,10 @@ class PiecewiseFile(GrowingFile):
             writer.write_container(whole, part)
         with open_container(part, content.schema) as container:
             if container.text("begun") != begun:
+                told = (parse_json(one, part, "begun") for one in (container.text("begun"), begun))
                 problem = (
-                    f"{part.name} was begun with other settings or of another recording; give "
-                    "those, choose another name, or remove it"
+                    f"{part.name} was begun with other settings or of another recording "
+                    f"({otherwise(*told)}); give those, choose another name, or remove it"
                 )
                 raise DataError(problem, source=path)
             starts = {name: container.start_of(name) for name in spaces}
@@ -168,6 +170,11 @@ def begin_sequence(
     variables |= intrinsics_variables(intrinsics) | writer.pixel_centres(grid.shape)
     attributes = picture_attributes(grid, intrinsics, scale, method, said)
     return PiecewiseFile.begin(path, writer.Content(SCHEMA, _AXES, variables, attributes), said)
+
+
+def otherwise(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """Name what differs from before; "" if nothing does."""
+    return ", ".join(f"{k} {before.get(k)}, not {v}" for k, v in now.items() if before.get(k) != v)
 
 
 def of_sequence(found: Reconstruction) -> dict[str, NDArray[Any]]:

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 
 from lensshift.core.arrays import Array
-from lensshift.core.errors import QualityWarning, about, of_extra
+from lensshift.core.errors import DataError, QualityWarning, about, of_extra
 from lensshift.core.types import Burst, Frame, Reconstruction
 from lensshift.io.burst_file import Recording, open_recording
+from lensshift.io.container_writer import software
 from lensshift.io.result_file import CHANNELS
-from lensshift.io.sequence_file import PiecewiseFile, begin_sequence, of_sequence
+from lensshift.io.sequence_file import PiecewiseFile, begin_sequence, of_sequence, otherwise
 from lensshift.reconstruction.reconstruct import reconstruct
 from lensshift.reconstruction.stream import Pace, stream
 
@@ -39,6 +40,7 @@ SAID = 3  # contradictions of a task that are told in words
 class Windows:
     """What is done with a recording; a worker needs no more.
 
+    state : what the recording and the program are by, whose pictures go together, see `_state`
     response : width of the pixel response that the example showed, with its error, as in `meta`
     layout : shape and dtype of each field of a picture, those of the example
     """
@@ -51,6 +53,7 @@ class Windows:
     scale: int
     method: str
     pace: Pace
+    state: Mapping[str, Any]
     settings: Mapping[str, Any] = field(default_factory=dict)  # of `stream`
     response: Mapping[str, float] = field(default_factory=dict)
     layout: Mapping[str, tuple[tuple[int, ...], str]] = field(default_factory=dict)
@@ -127,7 +130,8 @@ def reconstruct_recording(
     Raises
     ------
     DataError
-        If a file cannot be read or written, or `out` was begun otherwise.
+        If a file cannot be read or written, or `out` was begun otherwise, by another version of
+        the package too, or the recording changes meanwhile.
     ValueError
         If the recording is shorter than a window, or a setting is wrong.
     RuntimeError
@@ -147,7 +151,9 @@ def reconstruct_recording(
         count = (source.frame_count - window) // step + 1
         example = _showing(source, window)
         place = str(Path(recording).resolve())
-        job = Windows(place, window, step, count, example, scale, method, pace, dict(settings))
+        job = Windows(
+            place, window, step, count, example, scale, method, pace, _state(place), dict(settings)
+        )
         job, file, tasks = _begun(stack, source, job, out)
         resumed = done = int(file.written.sum())
         solved: Iterator[Solved] = (solve_windows(job, first, count) for first, count in tasks)
@@ -174,6 +180,9 @@ def solve_windows(job: Windows, first: int, count: int) -> Solved:
         shown = source.shown(start, length)
         burst = job.burst(source, start, length) if shown.any() else None
         time_s = source.time_s(start, length)
+    if other := otherwise(job.state, _state(job.recording)):
+        problem = f"another recording or program than the pictures were begun with ({other})"
+        raise DataError(f"{problem}; give the output another name", source=job.recording)
     rows: list[dict[str, Array]] = []
     said: list[str] = []
     for number, (found, wrong) in enumerate(_pictures(job, template, burst, shown, start, count)):
@@ -188,6 +197,12 @@ def solve_windows(job: Windows, first: int, count: int) -> Solved:
         said.extend(f"window {first + number}: {text}" for text in wrong)
     fields = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
     return Solved(first, fields, tuple(said[:SAID]))
+
+
+def _state(recording: str) -> dict[str, Any]:
+    """Return what tells a recording from another one of its name, and who makes the pictures."""
+    told = Path(recording).stat()
+    return {"bytes": told.st_size, "changed_ns": told.st_mtime_ns, "software": software()}
 
 
 def _pictures(
@@ -272,9 +287,8 @@ def _begun(
         cure = cure if known else tell
         raise ValueError(f"{problem}; a sequence holds amplitudes and distances: {cure}")
     like = of_sequence(example)
-    changed_ns = Path(job.recording).stat().st_mtime_ns  # another one may have taken its name
-    settings = asdict(job) | {"frames": source.frame_count, "changed_ns": changed_ns}
-    del settings["layout"]  # which the file has itself
+    settings = asdict(job) | {"frames": source.frame_count} | dict(job.state)
+    del settings["layout"], settings["state"]  # the file has the one, and the other here
     file = stack.enter_context(
         begin_sequence(
             out, job.count, example.grid, tuple(example.channels), scale=example.scale,
