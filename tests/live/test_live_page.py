@@ -10,9 +10,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import numpy as np
 import pytest
 from browser import Page, browser
-from serving import served, source_of, until
+from serving import SQUARE_PX, served, source_of, until
 
 from lensshift import Burst
 from lensshift.live.picture import Settings
@@ -162,3 +163,24 @@ def test_it_fits_on_a_phone_and_on_a_wall(page: Page, burst: Burst, tmp_path: Pa
             assert page.value("document.documentElement.scrollWidth") <= width
             boxes = "[...document.querySelectorAll('section')].map(one => one.clientHeight)"
             assert min(page.value(boxes)) > 150
+
+
+def test_a_picture_twice_as_wide_as_high_fills_its_panel(page: Page, tmp_path: Path) -> None:
+    """A third of the height was empty on a wall, a quarter on a desk."""
+    rows, cols = np.indices((12, 24))
+    light = np.stack([0.5 + 0.3 * np.tanh(cols - 11.3 - 0.2 * rows - col) for _, col in SQUARE_PX])
+    burst = Burst.from_arrays(light, offset_px=SQUARE_PX, pitch_mm=0.1)
+    with served(source_of(burst), tmp_path) as (address, _):
+        opened(page, address)
+        for width, height in ((1400, 900), (3840, 2160)):
+            page.size(width, height)
+            page.until(f"innerWidth === {width} && lensshift.shown > 3")
+            shown = page.value("lensshift.shown")
+            page.until(f"lensshift.shown > {shown + 3}")
+            empty = page.value(
+                "(p => 1 - [...p.children].reduce((sum, one) => sum + one.offsetHeight, 0)"
+                " / p.offsetHeight)(document.getElementById('picture'))"
+            )
+            assert empty < 0.2
+            wide = page.value("document.getElementById('stage').offsetWidth")
+            assert wide > 0.5 * width

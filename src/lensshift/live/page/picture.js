@@ -6,6 +6,7 @@ const at = (id) => document.getElementById(id);
 const stage = at("stage"), wipe = at("wipe"), box = at("box"), before = at("before");
 const tabs = [...document.querySelectorAll('[role="tab"]')];
 const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
+const MOST_WIDE = 0.72, LEAST_EM = 26, BELOW_EM = 15; // share of the picture, least width of both columns, height below it
 const CALM = 0.15; // share of a new colour range that counts at once, so that colours do not flicker
 
 let wanted = "amplitude", shown = null, range = null, ranged = "", share = 0.5;
@@ -40,9 +41,7 @@ function draw() {
   const [layer, one, words] = chosen(layers);
   const any = layers.get("amplitude") ?? layers.get("distance");
   stage.style.aspectRatio = `${any.cols} / ${any.rows}`;
-  const wide = any.cols > 2.2 * any.rows;
-  at("panels").classList.toggle("wide", wide);
-  stage.style.maxWidth = `${Math.max(20, (wide ? (innerHeight > 1200 ? 38 : 29) : 58) * any.cols / any.rows)}vh`;
+  layOut(any.cols / any.rows);
   at("tag-one").hidden = wipe.hidden = before.hidden = !one;
   at("tag-fine").textContent = layer ? (one ? "super-resolved" : words) : `no ${words} with this method`;
   at("fine").hidden = !layer;
@@ -67,6 +66,22 @@ function draw() {
   placeWipe();
   placeBox();
   read();
+}
+
+// The picture stands beside the other two, above the curves, or above both: where it leaves no room
+// empty. On a narrow page all stand below each other.
+function layOut(ratio) {
+  const panels = at("panels"), em = parseFloat(getComputedStyle(document.body).fontSize), width = panels.offsetWidth;
+  const others = [...at("picture").children].filter((one) => one !== stage), edge = 1.4 * em + 2;
+  const around = others.reduce((sum, one) => sum + one.offsetHeight + 0.4 * em, 0.8 * em + 2);
+  const high = Math.max(innerHeight - panels.offsetTop - 0.6 * em, 30 * em);
+  const [alone, above] = [high, high - BELOW_EM * em].map((height) => ratio * (height - around) + edge);
+  const most = Math.min(MOST_WIDE * width, width - LEAST_EM * em);
+  const beside = 0.85 * alone <= most || above < 0.5 * width; // of a low page the curves would take too much
+  panels.className = beside ? "beside" : above < width ? "above" : "wide";
+  const column = beside ? alone : above;
+  panels.style.setProperty("--column", `${Math.max(Math.min(most, column), LEAST_EM * em)}px`);
+  stage.style.maxWidth = `${innerWidth > 800 ? column - edge : 0.58 * ratio * innerHeight}px`;
 }
 
 function ramp(table) {
