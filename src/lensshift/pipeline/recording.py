@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -227,7 +228,9 @@ def _pictures(
                 found = reconstruct(burst.select(range(begin, begin + job.window)), **told)
             else:
                 for k in range(max(taken, begin), begin + job.window):
-                    frame = _frame(burst, k, shows=bool(shown[k]))
+                    distance_m = None if burst.distance_m is None else burst.distance_m[k]
+                    valid = burst.valid[k] & shown[k]  # as the stream may not see that none shows
+                    frame = Frame(burst.amplitude[k], distance_m, valid, math.nan)
                     camera.take(frame, place=(start + k) % job.window)
                 taken = begin + job.window
                 found = camera.picture()
@@ -252,13 +255,6 @@ def _laid_out(job: Windows, found: Reconstruction | None, said: list[str]) -> di
     return {name: fields.get(name, nothing) for name, nothing in blank.items()}
 
 
-def _frame(burst: Burst, k: int, *, shows: bool) -> Frame:
-    """Return a frame; without a valid pixel if it shows nothing, as the stream may not see."""
-    distance_m = None if burst.distance_m is None else burst.distance_m[k]
-    time_s = float("nan") if burst.time_s is None else float(burst.time_s[k])
-    return Frame(burst.amplitude[k], distance_m, burst.valid[k] & shows, time_s)
-
-
 def _showing(source: Recording, window: int) -> int:
     """Return where the first window is, side by side, that shows anything."""
     starts = range(0, source.frame_count - window + 1, window)
@@ -280,11 +276,10 @@ def _begun(
         read = {name: example.settings[name] for name in ("psf_sigma_px", "psf_std_px")}
         job = replace(job, response=read)
     if any(np.iscomplexobj(one.image) for one in example.channels.values()):
-        known = template.modulation_hz is not None
         problem = f"the frames are complex, and so would be their pictures by {example.method}"
         cure = "take channel phasor of method auto, tikhonov or tv"
-        tell = "tell the modulation: lensshift convert IN OUT --modulation-hz 20e6 says 20 MHz"
-        cure = cure if known else tell
+        if template.modulation_hz is None:
+            cure = "tell the modulation: lensshift convert IN OUT --modulation-hz 20e6 says 20 MHz"
         raise ValueError(f"{problem}; a sequence holds amplitudes and distances: {cure}")
     like = of_sequence(example)
     settings = asdict(job) | {"frames": source.frame_count} | dict(job.state)
