@@ -112,6 +112,15 @@ def test_every_command_names_verbs_and_options_that_exist(document: Path) -> Non
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=named)
+def test_a_new_environment_gets_lensshift_from_the_clone(document: Path) -> None:
+    for kind, text in blocks(document):
+        if kind == "sh" and "-m venv .venv" in text:
+            wanted = re.findall(r"\.venv/bin/pip install (?:-e )?'?([^\s']+)", text)
+            assert wanted, text
+            assert all(one.startswith(".") for one in wanted), "no index has a package lensshift"
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=named)
 def test_every_snippet_is_python(document: Path) -> None:
     for kind, text in blocks(document):
         if kind == "python":
