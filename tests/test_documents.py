@@ -275,6 +275,11 @@ def test_commands_and_snippets_run(document: Path, tmp_path: Path) -> None:
             assert done.returncode == 0, f"{text}\n{done.stderr}"
 
 
+def test_the_gallery_shows_its_scripts_in_the_order_of_their_numbers() -> None:
+    numbers = [int(path.name.split("_")[1]) for path in GALLERY]  # sorted by name, as the site does
+    assert numbers == list(range(1, len(GALLERY) + 1))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("script", GALLERY, ids=lambda path: path.stem)
 def test_gallery_scripts_draw(script: Path, tmp_path: Path) -> None:
