@@ -154,18 +154,47 @@ def test_every_page_is_in_the_contents() -> None:
 MESSAGES = ROOT / "docs" / "troubleshooting.md"
 
 
+def explained() -> list[str]:
+    lines = re.findall(r"^\*\*`.*$", MESSAGES.read_text(encoding="utf-8"), re.M)
+    return [message for line in lines for message in re.findall(r"\*\*`([^`]+)`\*\*", line)]
+
+
 def test_messages_that_are_explained_exist() -> None:
     source = " ".join(
         re.sub(r'["\']\s*\n?\s*f?["\']', "", path.read_text(encoding="utf-8"))
         for path in (ROOT / "src").rglob("*.py")
     )
     source = " ".join(source.split())
-    quoted = re.findall(r"^\*\*`([^`]+)`\*\*", MESSAGES.read_text(encoding="utf-8"), re.M)
-    assert len(quoted) > 12
-    for message in quoted:
+    assert len(explained()) > 12
+    for message in explained():
         for part in message.split("..."):
             if len(part.strip()) > 3:
                 assert part.strip() in source, message
+
+
+def shown(told: ast.expr) -> str:
+    """Return a message as it is written in the source, with "..." for what varies."""
+    if isinstance(told, ast.JoinedStr):
+        return "".join(shown(part) for part in told.values)
+    return str(told.value) if isinstance(told, ast.Constant) else "..."
+
+
+def warned_of(folder: str) -> Iterator[str]:
+    for path in sorted((ROOT / "src" / "lensshift" / folder).rglob("*.py")):
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(call, ast.Call) and call.args:
+                name = ast.unparse(call.func).rpartition(".")[2]
+                if name in ("warn_quality", "_warn"):
+                    yield shown(call.args[0])
+
+
+@pytest.mark.parametrize("folder", ["reconstruction", "registration"])
+def test_warnings_about_a_result_are_explained(folder: str) -> None:
+    known = [".*".join(map(re.escape, message.split("..."))) for message in explained()]
+    # What begins with another message is explained as that one, and so is "frame ...: ...".
+    told = [one for one in warned_of(folder) if re.match(r"[^.]{9}", one)]
+    assert len(told) > 4
+    assert [one for one in told if not any(re.search(message, one) for message in known)] == []
 
 
 def place_of(document: Path, tmp_path: Path) -> dict[str, str]:

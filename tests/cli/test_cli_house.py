@@ -267,7 +267,7 @@ def test_what_takes_long_before_the_first_iteration_is_said(
             one.join(10.0)
     slow.close()
     said = capsys.readouterr().err
-    assert said.count("preparing (compiles once, after an installation)") == 1
+    assert said.count("preparing (only the first call after an installation compiles)") == 1
 
 
 def test_every_source_of_a_width_has_words() -> None:

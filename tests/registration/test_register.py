@@ -17,6 +17,7 @@ from lensshift.registration import blocks, likely_shifts, phase_correlation, reg
 from lensshift.registration.blocks import blocks_of, likely_where_telling, scatter_over_blocks
 from lensshift.registration.light import gains_of_light
 from lensshift.registration.likelihood import ShiftFit, likely_steps, with_given
+from lensshift.registration.register import _warn_if_poor
 from lensshift.scene import four_boxes, siemens_star_card
 
 OFFSETS = np.array([[0.0, 0.0], [0.31, -0.42], [-1.27, 0.66], [2.4, 3.1], [-0.2, 0.9]])
@@ -672,3 +673,9 @@ def test_what_is_known_beside_the_frames_counts_by_its_precision(said: bool) -> 
     np.testing.assert_allclose(both.covariance_px2, covariance, atol=1e-10)
     mean = covariance @ (precision[0] @ found_px.ravel() + precision[1] @ given_px.ravel())
     np.testing.assert_allclose(both.offset_px, mean.reshape(3, 2) if said else found_px, atol=1e-9)
+
+
+def test_an_error_just_beyond_the_wanted_one_is_not_rounded_to_it() -> None:
+    sigma_px, none = np.array([[0.0, 0.0], [0.0539, 0.01]]), np.zeros((2, 2))
+    with pytest.warns(QualityWarning, match=r"0\.0539 px only \(want 0\.05 px\)"):
+        _warn_if_poor(sigma_px, none, np.arange(2), converged=True, apart=1.0)

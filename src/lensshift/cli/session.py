@@ -39,7 +39,7 @@ _EXTRAS = {
 }  # fmt: skip
 MOST_ROWS = 40  # of a table on a terminal; a scan for a calibration has 35
 _QUIET_S = 1.0  # what is over sooner needs no word
-_PREPARING = "preparing (compiles once, after an installation)"
+_PREPARING = "preparing (only the first call after an installation compiles)"
 _TERMINAL_EVERY_S = 0.1  # smooth to the eye
 _FILE_EVERY_S = 5.0  # a line of a log
 

@@ -363,7 +363,7 @@ def _warn_if_poor(
     if worst_px > POOR_SIGMA_PX and apart**2 > 2.0:  # the larger part of the variance
         warn_quality(
             f"parts of the frames disagree on shifts by {apart:.1f} times their errors: that of "
-            f"frame {number} is known to {worst_px:.2f} px only (want {POOR_SIGMA_PX} px); does "
+            f"frame {number} is known to {worst_px:.3g} px only (want {POOR_SIGMA_PX} px); does "
             "something move (then mark it as not valid), or is there little to see in a part? Take "
             "a scene with more edges, or give the shifts",
             3,
@@ -372,7 +372,7 @@ def _warn_if_poor(
         along = ("row", "col")[int(worst[1])]
         warn_quality(
             f"too little texture along {along}: the shift of frame {number} is known to "
-            f"{worst_px:.2f} px only (want {POOR_SIGMA_PX} px); take more light or a scene with "
+            f"{worst_px:.3g} px only (want {POOR_SIGMA_PX} px); take more light or a scene with "
             "edges across it, or give the shifts",
             3,
         )
