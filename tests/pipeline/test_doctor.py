@@ -468,6 +468,17 @@ def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert verdict(done) == "FAULT full disk"
 
 
+@pytest.mark.usefixtures("glance")
+def test_a_disk_that_takes_no_larger_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path) -> None:
+        raise OSError(errno.EFBIG, "File too large")
+
+    monkeypatch.setattr(shutil, "disk_usage", full)
+    done = examined(tmp_path)
+    assert verdict(done) == "FAULT full disk"
+    assert done.files[-1].name == "doctor.html"
+
+
 def test_another_program_has_the_port_of_the_camera(tmp_path: Path) -> None:
     with (
         bench() as (_, table),

@@ -101,7 +101,7 @@ def unbound_cubes() -> list[str]:
 
 
 def disk_fault(error: Exception) -> Finding | None:
-    """Return the finding if an error says that a disk is full."""
-    if cause_number(error) not in (errno.ENOSPC, errno.EDQUOT):
+    """Return the finding if an error says that a disk is full, or takes no larger files."""
+    if cause_number(error) not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return None
     return Finding(Level.FAULT, "full disk", str(error), "make room, or choose another --out")
