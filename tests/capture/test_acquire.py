@@ -257,9 +257,50 @@ def test_the_wrong_file_is_not_resumed(tmp_path: Path) -> None:
     assert (again.frame_count, len(stage.visited)) == (4, before)  # complete: nothing moves
     with pytest.raises(DataError, match="complete, with plan square, not 3x3"):
         acquire(stage, camera, named_plan("3x3"), CALIBRATION, path, resume=True)
+    with pytest.raises(DataError, match="complete, with frames 1, not 2"):
+        acquire(stage, camera, named_plan("square"), CALIBRATION, path, Acquisition(2), resume=True)
     save_burst(replace(again, meta={}), path)
     with pytest.raises(DataError, match="nothing to resume: this is no capture"):
         acquire(stage, camera, named_plan("square"), CALIBRATION, path, resume=True)
+
+
+@dataclass
+class ToldStage(MemoryStage):
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def describe(self) -> Mapping[str, Any]:
+        return {"settings": self.settings}
+
+
+@dataclass
+class ToldCamera(MemoryCamera):
+    exposure_s: float = 0.01
+
+    def describe(self) -> Mapping[str, Any]:
+        return {"celsius": 20.0 + self.cycle, "settings": {"exposure_s": self.exposure_s}}
+
+
+def test_a_capture_goes_on_with_the_devices_that_it_began_with(tmp_path: Path) -> None:
+    """Axes that were exchanged, or another scale, put frames where nobody says that they are."""
+    settings = {"counts_per_mm": (34555.0, 34555.0), "approach_direction": "forward"}
+    stage, path = ToldStage(settings=settings), tmp_path / "burst.nc"
+    plan = named_plan("square")
+    with pytest.raises(DeviceTimeout):
+        acquire(stage, ToldCamera(stage, silent_after=6), plan, CALIBRATION, path)
+    others: list[tuple[str, MemoryStage, MemoryCamera]] = [
+        ("stage.name", replace(stage, name="stage 2, stage 1"), ToldCamera(stage)),
+        ("stage.settings", replace(stage, settings={**settings, "counts_per_mm": 34304.0}),
+         ToldCamera(stage)),
+        ("camera.name", stage, ToldCamera(stage, name="another")),
+        ("camera.settings", stage, ToldCamera(stage, exposure_s=0.02)),
+    ]  # fmt: skip
+    for name, *devices in others:
+        before = len(stage.visited)
+        with pytest.raises(DataError, match=rf"{name}: .* begun with {name} .*--restart"):
+            acquire(*devices, plan, CALIBRATION, path, resume=True)
+        assert len(stage.visited) == before
+    done = acquire(stage, ToldCamera(stage, cycle=50), plan, CALIBRATION, path, resume=True)
+    assert done.frame_count == 4
 
 
 def test_a_capture_goes_on_with_the_calibration_that_it_began_with(tmp_path: Path) -> None:
@@ -271,7 +312,9 @@ def test_a_capture_goes_on_with_the_calibration_that_it_began_with(tmp_path: Pat
     begun, camera = len(load_burst(path).amplitude), MemoryCamera(stage)
     twice = StageMap(2.0 * CALIBRATION.stage_map.px_per_mm, sigma_px=0.01)
     for other in (replace(CALIBRATION, stage_map=twice), replace(CALIBRATION, rest_mm=REST + 0.1)):
-        with pytest.raises(DataError, match=r"calibration: .* begun with another calibration"):
+        with pytest.raises(
+            DataError, match=r"calibration: .* begun with calibration sha256 .*, not sha256"
+        ):
             acquire(stage, camera, named_plan("square"), other, path, resume=True)
     farther = ShiftPlan(2.0 * named_plan("square").target_px, name="square")
     with pytest.raises(DataError, match="begun with other positions"):
@@ -422,8 +465,8 @@ def test_many_places_are_visited_once_and_not_in_the_given_order() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"frames": 0}, "at least one frame"),
-        ({"discard": -1}, "discard of at least 0"),
+        ({"frames": 0}, "expected frames of 1 to 100000"),
+        ({"discard": -1}, "expected discard of 0 to 100000"),
         ({"hold_mm": 0.0}, "positive hold_mm"),
         ({"frame_timeout_s": 1e18}, "positive frame_timeout_s up to 1e"),
     ],

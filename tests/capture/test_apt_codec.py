@@ -51,7 +51,7 @@ def test_records_are_encoded_as_by_the_oracle(a, b, c, d, e, f) -> None:
         (Id.MOVE_ABSOLUTE, apt.Target(a), oracle.mot_move_absolute(USB, HOST, 1, a)),
         (Id.SET_VELOCITY, apt.Velocity(a, b, c), oracle.mot_set_velparams(USB, HOST, 1, a, b, c)),
         (Id.SET_HOME, apt.Home(d, e, a, b), oracle.mot_set_homeparams(USB, HOST, 1, d, e, a, b)),
-        (Id.SET_BACKLASH, apt.Backlash(a), oracle.mot_set_genmoveparams(USB, HOST, 1, a)),
+        (Id.SET_BACKLASH, apt.Target(a), oracle.mot_set_genmoveparams(USB, HOST, 1, a)),
         (
             Id.SET_LIMITS,
             apt.Limits(d, e, f, f // 2, 2),
@@ -96,11 +96,11 @@ def test_records_are_decoded_as_by_the_oracle(a, b, c, d, e) -> None:
     assert (home.home_dir, home.limit_switch, home.home_velocity, home.offset_distance) == (
         d, e, a, b,
     )  # fmt: skip
-    backlash = decoded(Message(Id.BACKLASH, data=apt.Backlash(a).pack()))
+    backlash = decoded(Message(Id.BACKLASH, data=apt.Target(a).pack()))
     assert backlash.backlash_distance == a
     limits = decoded(Message(Id.LIMITS, data=apt.Limits(d, e, abs(a) // 2, 0, 1).pack()))
     assert (limits.cw_hardlimit, limits.ccw_hardlimit, limits.cw_softlimit) == (d, e, abs(a) // 2)
-    for record in (apt.Velocity(a, b, c), apt.Home(d, e, a, b), apt.Backlash(a)):
+    for record in (apt.Velocity(a, b, c), apt.Home(d, e, a, b), apt.Target(a)):
         assert type(record).unpack(record.pack()) == record
 
 

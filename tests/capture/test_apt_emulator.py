@@ -127,7 +127,7 @@ def test_firmware_overruns_backward_moves_by_its_backlash(overrun: int) -> None:
     answers(
         controller,
         ENABLE,
-        Message(Id.SET_BACKLASH, data=apt.Backlash(overrun).pack()),
+        Message(Id.SET_BACKLASH, data=apt.Target(overrun).pack()),
         Message(Id.SET_VELOCITY, data=apt.Velocity(0, 10**6, 10**8).pack()),
         Message(Id.MOVE_ABSOLUTE, data=apt.Target(-10000).pack()),
     )

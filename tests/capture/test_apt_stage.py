@@ -133,7 +133,8 @@ def test_stage_fulfils_the_protocol(rig: tuple[EmulatedStagePair, AptStage]) -> 
     assert about["col"]["serial_number"] == 83000001
     assert about["row"]["stage_id"] == 11
     assert about["col"]["firmware"] == "2.0.4"
-    assert about["settings"]["approach_mm"] == 0.02
+    assert about["motion"]["approach_mm"] == 0.02
+    assert about["settings"]["counts_per_mm"] == 34554.96
 
 
 @pytest.mark.parametrize(
@@ -151,7 +152,7 @@ def test_parameters_arrive(rig: tuple[EmulatedStagePair, AptStage]) -> None:
         for request, expected in (
             (Id.REQUEST_VELOCITY, apt.Velocity(0, 1055, 1777857)),  # 2.3 mm/s, 4 mm/s^2
             (Id.REQUEST_HOME, apt.Home(2, 1, 772981, 10366)),
-            (Id.REQUEST_BACKLASH, apt.Backlash(0)),
+            (Id.REQUEST_BACKLASH, apt.Target(0)),
             (Id.REQUEST_LIMITS, apt.Limits(3, 3, 207330, 0, 1)),
         ):
             said = controller.receive(Message(request, (1, 0)).to_bytes())
@@ -527,16 +528,23 @@ def test_port_with_no_controller() -> None:
         ("counts_per_mm", (1.0, 0.0)), ("counts_per_mm", (1.0, 2.0, 3.0)), ("approach_mm", -0.1),
         ("approach_direction", "up"), ("approach_direction", ("forward", "up")),
         ("settle_polls", 1), ("max_retries", 0), ("home", "maybe"), ("travel_mm", (3.0, 3.01)),
+        # What a slip of the keys makes: waits without end, numbers that no controller holds, and
+        # positions that never count as reached.
+        ("velocity_mmps", 1e-300), ("acceleration_mmps2", 5e-10), ("counts_per_mm", 1e300),
+        ("home_offset_mm", 1e5), ("enable_wait_s", 1e300), ("timeout_margin_s", 1e10),
+        ("reply_timeout_s", np.nan), ("settle_polls", 100_001), ("tolerance_mm", 1e-9),
+        ("travel_mm", (0.0, np.inf)),
     ],
 )  # fmt: skip
 def test_bad_settings(field: str, value: object) -> None:
-    with pytest.raises(ValueError, match="expected"):
+    with pytest.raises(ValueError, match=f"expected .*{field}"):
         AptSettings(**{field: value})
 
 
 def test_a_speed_beyond_what_a_controller_can_be_told_is_refused() -> None:
+    settings = AptSettings(velocity_mmps=100.0, counts_per_mm=1e6, home="never")
     with EmulatedStagePair() as pair, pytest.raises(ValueError, match="look at speeds and scale"):
-        open_apt_stage(*pair.urls, AptSettings(velocity_mmps=1e9, home="never"))
+        open_apt_stage(*pair.urls, settings)
 
 
 def test_scale_of_each_axis() -> None:

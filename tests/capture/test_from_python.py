@@ -47,7 +47,7 @@ def test_the_devices_of_the_documentation_take_a_burst(rig: Path, tmp_path: Path
         np.testing.assert_array_equal(opened.stage.position_mm(), [0.15, 0.15])
     burst = load_burst(tmp_path / "burst.nc")
     assert burst.meta["stage"]["name"] == "piezo at COM5"
-    assert burst.meta["camera"]["exposure_ms"] == 5.0
+    assert burst.meta["camera"]["settings"] == {"exposure_ms": 5.0}
     got = sorted(map(tuple, burst.offset_px.round(9).tolist()))
     assert got == [(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)]
 

@@ -106,6 +106,8 @@ def test_a_burst_and_what_is_said_of_it(call: Call, rig_file: Path, tmp_path: Pa
     resumed = call("capture", rig_file, "-o", out, "--resume")
     assert resumed.exit_code == 0, resumed.output
     assert f"nothing to do: {out} is complete, 4 frames" in resumed.stdout
+    other = call("capture", rig_file, "-o", out, "--frames", 3, "--resume")
+    assert (other.exit_code, "complete, with frames 2, not 3" in other.stderr) == (1, True)
 
 
 def test_verbs_read_what_a_killed_capture_left(call: Call, tmp_path: Path) -> None:
@@ -276,8 +278,14 @@ def test_the_example_is_a_rig_file(call: Call, tmp_path: Path) -> None:
         ),
         ("[calibration]\nsigma_px = -1.0\n", "expected a sigma_px of at least 0"),
         ("[calibration]\nrest_mm = [nan, 3.0]\n", "rest_mm"),
-        ("[acquisition]\nframes = 0\n", "acquisition: expected at least one frame"),
-        ("[acquisition]\nframes = 1000000000\n", "up to 100000 frames a position, got frames 10"),
+        (
+            "[acquisition]\nframes = 0\n",
+            "acquisition: expected frames of 1 to 100000 at a position, got 0",
+        ),
+        (
+            "[acquisition]\nframes = 1000000000\n",
+            "expected frames of 1 to 100000 at a position, got 10",
+        ),
         ("[calibration]\npx_per_mm = 1e308\n", "px_per_mm: expected pixels of image for a mm"),
         ("[calibration]\npx_per_mm = [[5.6, 0.0], [0.0, 5.6e6]]\n", "px_per_mm: expected pixels"),
         ("[calibration]\nrest_mm = [3000.0, 3.0]\n", "rest_mm: expected places in mm, up to 1000"),
@@ -290,7 +298,11 @@ def test_the_example_is_a_rig_file(call: Call, tmp_path: Path) -> None:
             r"calibration\.rest_mm: expected \[float, float\]",
         ),
         ("[calibration]\nfile = 'none.json'\n", r"none\.json"),
-        ("[camera]\nport = 0\n[stage]\nrow = 'a'\n", r"stage\.col: expected a port"),
+        ("[camera]\nport = 0\n[stage]\nrow = 'a'\n", r"stage\.col: expected a serial number"),
+        (
+            '[camera]\nport = 0\n[stage]\nrow = "\\u0000"\ncol = 1\n',
+            r"stage\.row: expected a serial",
+        ),
         ("stage = 3\n[camera]\nport = 0\n", "stage: expected a table"),
     ],
 )

@@ -54,13 +54,10 @@ class Acquisition:
     approach_mm: float = 0.02
 
     def __post_init__(self) -> None:
-        if self.frames < 1:
-            raise ValueError(f"expected at least one frame a position, got {self.frames}")
-        if self.discard < 0:
-            raise ValueError(f"expected discard of at least 0, got {self.discard}")
-        if max(self.frames, self.discard) > MOST_FRAMES:
-            each = f"frames {self.frames} and discard {self.discard}"
-            raise ValueError(f"expected up to {MOST_FRAMES} frames a position, got {each}")
+        for name, least in (("frames", 1), ("discard", 0)):
+            if not least <= getattr(self, name) <= MOST_FRAMES:
+                told = f"{least} to {MOST_FRAMES} at a position, got {getattr(self, name)}"
+                raise ValueError(f"expected {name} of {told}")
         for name in ("frame_timeout_s", "hold_mm"):
             if not 0 < getattr(self, name) <= _MOST_PATIENCE:
                 told = f"up to {_MOST_PATIENCE:g}, got {getattr(self, name)}"
@@ -115,7 +112,7 @@ def acquire(
     path : burst file; until the plan is done a journal of the same name, which `load_burst`
         reads as well
     resume : go on with an unfinished capture of the same plan and calibration; one that is
-        complete is returned as it is
+        complete is returned as it is, if it was taken so
 
     Raises
     ------
@@ -153,10 +150,11 @@ def acquire_at(
     ----------
     direct : go straight from one position to the next, see `Stage.move_to`; then the order stays
     """
-    done = finished(path, plan_name) if resume else None
+    settings = settings or Acquisition()
+    asked = {"frames": settings.frames, "average": settings.average}
+    done = finished(path, plan_name, asked) if resume else None
     if done is not None:
         return done
-    settings = settings or Acquisition()
     calibration.check_sensor(camera.grid.shape)
     positions = np.atleast_2d(np.asarray(position_mm, dtype=np.float64))
     check_travel(stage, positions)

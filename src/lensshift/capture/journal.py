@@ -16,6 +16,7 @@ from lensshift.capture.rig import Camera, Stage
 from lensshift.core.arrays import Array
 from lensshift.core.calibration import Calibration
 from lensshift.core.errors import DataError, naming
+from lensshift.core.settings import table_of, to_json
 from lensshift.core.types import Burst
 from lensshift.io import load_burst
 from lensshift.io.calibration_file import calibration_content
@@ -23,6 +24,7 @@ from lensshift.io.capture_file import CaptureWriter, is_capture
 
 # What must be the same before and after a break: else the frames of one burst do not fit together.
 _SAME = ("plan", "frames", "average", "pitch_mm", "shape", "modulation_hz")
+_OF_DEVICES = ("name", "settings")  # as they describe themselves: another one shows other places
 _SAME_MM = 1e-6  # far below what an encoder resolves, far above what rounding does
 
 
@@ -62,22 +64,25 @@ def capture_header(
     }
 
 
-def finished(path: str | Path, plan_name: str) -> Burst | None:
+def finished(path: str | Path, plan_name: str, asked: Mapping[str, Any]) -> Burst | None:
     """Return the burst of a capture that is complete: there is nothing to resume.
 
     Raises
     ------
     DataError
-        If there is a file that is no capture, or holds another plan.
+        If there is a file that is no capture, holds another plan, or was taken in another way than
+        is `asked` (some settings of `Acquisition`).
     """
     if not Path(path).exists() or is_capture(path):
         return None
     burst = load_burst(path)
     if "acquisition" not in burst.meta:
         raise DataError("nothing to resume: this is no capture", source=path)
-    if burst.meta.get("plan") != plan_name:
-        problem = f"the capture is complete, with plan {burst.meta.get('plan')!s:.60}"
-        raise DataError(f"{problem}, not {plan_name}", field="plan", source=path)
+    kept = {**table_of(burst.meta, "acquisition"), "plan": burst.meta.get("plan")}
+    for name, value in {"plan": plan_name, **asked}.items():
+        if kept.get(name) != value:
+            problem = f"the capture is complete, with {name} {kept.get(name)!s:.60}, not {value}"
+            raise DataError(problem, field=name, source=path)
     return burst
 
 
@@ -121,25 +126,29 @@ def opened(path: str | Path, header: Mapping[str, Any], *, resume: bool) -> Capt
 
 
 def _check_same(begun: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    for name in _SAME:
-        if begun.get(name) != wanted[name]:
+    kept, asked = (_to_compare(one) for one in (begun, wanted))
+    for name, value in asked.items():
+        if kept[name] != value:
             raise DataError(
-                f"the capture was begun with {name} {begun.get(name)!s:.60}, not "
-                f"{wanted[name]!s:.60}; resume it as it was begun, or begin anew (--restart)",
+                f"the capture was begun with {name} {kept[name]!s:.200}, not {value!s:.200}; "
+                "resume it as it was begun, or begin anew (--restart)",
                 field=name,
             )
-    ours = wanted["calibration"]["sha256"]
-    theirs = begun.get("calibration", {}).get("sha256", "unknown")
-    if ours != theirs:
-        raise DataError(
-            f"the capture was begun with another calibration (sha256 {theirs:.12}, not "
-            f"{ours:.12}); resume it with that one, or begin anew (--restart)",
-            field="calibration",
-        )
     before, now = (np.asarray(one["position_mm"], dtype=float) for one in (begun, wanted))
     same = before.shape == now.shape
     if same:  # in any order: that depends on where the stage stood
         near = np.abs(before[:, None] - now).max(axis=-1) <= _SAME_MM
         same = bool(near.any(axis=0).all() and near.any(axis=1).all())
     if not same:
-        raise DataError("the capture was begun with other positions", field="position_mm")
+        problem = "the capture was begun with other positions; resume it with its own plan or span"
+        raise DataError(f"{problem}, or begin anew (--restart)", field="position_mm")
+
+
+def _to_compare(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what must be the same; a journal has lists of what was a tuple."""
+    found = {name: header.get(name) for name in _SAME}
+    found["calibration"] = f"sha256 {table_of(header, 'calibration').get('sha256')!s:.12}"
+    for device in ("stage", "camera"):
+        told = table_of(table_of(header, "meta"), device, "meta")
+        found |= {f"{device}.{name}": told.get(name) for name in _OF_DEVICES}
+    return dict(json.loads(to_json(found)))

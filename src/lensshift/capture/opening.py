@@ -31,6 +31,7 @@ QUARTER_PIXEL_MM = 0.0444
 _CAMERAS = {  # kind of camera, as its module beside the drivers -> its class there
     "o3m": "O3MCamera", "pcic": "PcicCamera", "replay": "ReplayCamera", "genicam": "GenicamCamera",
 }  # fmt: skip
+_AXES = ("row", "col")
 EXAMPLE = """\
 # A rig: two Thorlabs actuators that move the lens, and a camera.
 
@@ -277,12 +278,12 @@ def _stage(table: _Table, folder: Path, home: str | None, on_homing: OnHoming | 
 
     if home is not None:
         table = {**table, "home": home}
-    missing = [axis for axis in ("row", "col") if axis not in table]
-    if missing:
-        raise DataError("expected a port or serial number", field=f"stage.{missing[0]}")
-    rest = {name: value for name, value in table.items() if name not in ("row", "col", "kind")}
+    row, col = (str(fit(table.get(axis, ""), str | int, f"stage.{axis}")) for axis in _AXES)
+    for axis, port in zip(_AXES, (row, col), strict=True):
+        if not (port and port.isprintable()):
+            raise DataError("expected a serial number, path or URL", field=f"stage.{axis}")
+    rest = {name: value for name, value in table.items() if name not in (*_AXES, "kind")}
     settings = built(AptSettings, rest, "stage")
-    row, col = (str(fit(table[axis], str | int, f"stage.{axis}")) for axis in ("row", "col"))
     if row == col:
         raise DataError(f"expected a port other than that of row, {row!r}", field="stage.col")
     return open_apt_stage(row, col, settings, on_homing)

@@ -113,7 +113,8 @@ def _nothing_to_do(current: Session, asked: _CaptureOptions, plan: ShiftPlan | N
     if asked.continuous:
         _refuse_earlier(out)
         return False
-    done = finished(out, "scan" if plan is None else plan.name) if asked.resume else None
+    told = {name: one for name, one in picked(asked, "frames average").items() if one is not None}
+    done = finished(out, "scan" if plan is None else plan.name, told) if asked.resume else None
     if done is None:
         if asked.resume and is_capture(out):  # whether it was begun in the same way is seen later
             CaptureWriter.resume(out).close()

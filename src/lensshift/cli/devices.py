@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -35,12 +36,10 @@ def homing_asked(*, yes: bool) -> OnHoming:
         typer.echo(printable(f"homing: {way}"), err=True)
         if yes or not ask:
             return True
-        if not on_terminal():
-            return False
-        try:
-            return typer.confirm("Home both axes now?", err=True)
-        except typer.Abort:
-            return False
+        if on_terminal():
+            with suppress(typer.Abort):
+                return typer.confirm("Home both axes now?", err=True)
+        return False
 
     return answer
 

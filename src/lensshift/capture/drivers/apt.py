@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from lensshift.capture.drivers.apt_axis import AptAxis
 from lensshift.capture.drivers.apt_cube import find_port
-from lensshift.capture.drivers.apt_settings import AptSettings
+from lensshift.capture.drivers.apt_settings import PLACING, AptSettings
 from lensshift.capture.rig import OnHoming, goal_within
 from lensshift.core.arrays import Floats
 from lensshift.core.ending import Closing
@@ -125,9 +125,12 @@ class AptStage(Closing):
             axis.halt()
 
     def describe(self) -> Mapping[str, Any]:
-        """Return the settings, and of each axis model, serial, firmware and state of the line."""
+        """Return what each axis is, `settings` that decide where a position lies, and others."""
         row, col = (axis.describe() for axis in self.axes)
-        return {"name": self.name, "row": row, "col": col, "settings": asdict(self.settings)}
+        motion = asdict(self.settings)
+        settings = {name: motion.pop(name) for name in PLACING}
+        about = {"name": self.name, "row": row, "col": col}
+        return about | {"settings": settings, "motion": motion}
 
     def _together(self, moves: list[Generator[float, None, float]]) -> Floats:
         """Step all moves until each has its result; stop both axes if that is cut short."""

@@ -113,7 +113,7 @@ class AptAxis:
         home = apt.Home(2, 1, speed, self._counts(wanted.home_offset_mm))
         self._cube.write("home", Id.SET_HOME, home)
         # The firmware's own overrun would move the lens a second time.
-        self._cube.write("backlash", Id.SET_BACKLASH, apt.Backlash(0))
+        self._cube.write("backlash", Id.SET_BACKLASH, apt.Target(0))
         # Which way its switches close belongs to the actuator, so it stays. The soft limits are
         # for other programs: firmware differs in what it does at them, so the driver keeps its own.
         found = self._cube.confirmed(Id.REQUEST_LIMITS, apt.Limits)

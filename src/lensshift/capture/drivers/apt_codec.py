@@ -175,7 +175,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Target(Record, layout="<Hl"):
-    """Where an absolute move goes, in counts of the encoder."""
+    """A length in counts: where a move goes, or how far the firmware overruns a backward one."""
 
     counts: int
 
@@ -197,13 +197,6 @@ class Home(Record, layout="<HHHll"):
     switch: int
     velocity: int
     offset: int
-
-
-@dataclass(frozen=True, slots=True)
-class Backlash(Record, layout="<Hl"):
-    """How far the firmware overruns after a backward move, in counts."""
-
-    counts: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,13 +231,6 @@ class Status(Record, layout="<HlhhL"):
     def moving(self) -> bool:
         """Whether it moves, jogs or looks for its zero."""
         return bool(self.bits & MOVING)
-
-
-@dataclass(frozen=True, slots=True)
-class StatusBits(Record, layout="<HL"):
-    """`Bits` alone."""
-
-    bits: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,23 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 Direction = Literal["forward", "backward"]
+Homing = Literal["ask", "if_needed", "always", "never"]
 
 # Z8 actuators: 512 counts per turn of the motor, a gear of 67.49:1, 1 mm per turn of the screw; so
 # the APT protocol since 2022. Older papers round the gear to 67:1, which gives 34304 (0.73 % less).
 Z8_COUNTS_PER_MM = 34554.96
+
+_MOST_MM = 30.0  # no Z8 actuator is longer than 25 mm
+# Beyond anything that a Z8 does, or anybody waits for: another unit, or a slip of the keys.
+_BOUNDS: dict[str, tuple[float, float]] = {
+    "counts_per_mm": (1.0, 1e6), "velocity_mmps": (1e-3, 100.0), "acceleration_mmps2": (1e-3, 1e3),
+    "home_velocity_mmps": (1e-3, 100.0), "home_offset_mm": (0.0, _MOST_MM),
+    "approach_mm": (0.0, _MOST_MM), "tolerance_mm": (0.0, 1.0), "settle_polls": (2, 1000),
+    "max_retries": (1, 1000), "reply_timeout_s": (1e-3, 60.0), "enable_wait_s": (0.0, 60.0),
+    "timeout_margin_s": (0.0, 3600.0),
+}  # fmt: skip
+# Of `AptSettings`, what a position in mm means; the others say how it is reached.
+PLACING = ("counts_per_mm", "home_offset_mm", "approach_direction")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +37,7 @@ class AptSettings:
     home_offset_mm: float = 0.3  # from the switch to the zero
     # Look for the zero on opening, which takes the lens to the end of its way: after asking if a
     # controller does not know it ("ask"), so without asking ("if_needed"), "always", "never".
-    home: Literal["ask", "if_needed", "always", "never"] = "ask"
+    home: Homing = "ask"
     # Every position is reached by a move of at least this length in one direction, so that the play
     # behind the encoder always lies on one side; longer than the play.
     approach_mm: float = 0.02
@@ -42,32 +55,21 @@ class AptSettings:
     def __post_init__(self) -> None:
         if not isinstance(self.counts_per_mm, int | float) and len(self.counts_per_mm) != 2:
             raise ValueError(f"expected counts_per_mm or two of them, got {self.counts_per_mm}")
-        names = ("velocity_mmps", "acceleration_mmps2", "home_velocity_mmps", "tolerance_mm")
-        positive = {name: getattr(self, name) for name in (*names, "reply_timeout_s")}
-        positive |= {f"counts_per_mm[{axis}]": self.scale(axis) for axis in (0, 1)}
-        for name, value in positive.items():
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"expected a positive {name}, got {value}")
-        for name in ("home_offset_mm", "approach_mm", "enable_wait_s", "timeout_margin_s"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"expected {name} of 0 or more, got {value}")
-        if self.settle_polls < 2 or self.max_retries < 1:
-            raise ValueError(
-                "expected settle_polls >= 2 and max_retries >= 1, "
-                f"got {self.settle_polls} and {self.max_retries}"
-            )
-        if self.home not in ("ask", "if_needed", "always", "never"):
-            raise ValueError(
-                f"expected home 'ask', 'if_needed', 'always' or 'never', got {self.home!r}"
-            )
-        if any(self.direction(axis) not in get_args(Direction) for axis in (0, 1)):
-            raise ValueError(
-                "expected approach_direction 'forward', 'backward' or two of them, got "
-                f"{self.approach_direction!r}"
-            )
+        told = {name: getattr(self, name) for name in _BOUNDS if name != "counts_per_mm"}
+        told |= {f"counts_per_mm[{axis}]": self.scale(axis) for axis in (0, 1)}
+        told |= {f"travel_mm[{end}]": place for end, place in enumerate(self.travel_mm)}
+        for name, value in told.items():
+            low, high = _BOUNDS.get(name.partition("[")[0], (-_MOST_MM, _MOST_MM))
+            if not low <= value <= high:  # nor if it is no number
+                raise ValueError(f"expected {name} of {low:g} to {high:g}, got {value}")
+        if self.tolerance_mm * min(self.scale(0), self.scale(1)) < 1.0:
+            raise ValueError(f"expected tolerance_mm of a count at least, got {self.tolerance_mm}")
+        ways = [("approach_direction", self.direction(axis), Direction) for axis in (0, 1)]
+        for name, value, known in [("home", self.home, Homing), *ways]:
+            if value not in get_args(known):
+                raise ValueError(f"expected {name} of {get_args(known)}, got {value!r}")
         low, high = self.travel_mm
-        if not (math.isfinite(low) and math.isfinite(high) and high - low > self.approach_mm):
+        if not high - low > self.approach_mm:
             raise ValueError(f"expected travel_mm longer than the approach, got {self.travel_mm}")
 
     def scale(self, axis: int) -> float:

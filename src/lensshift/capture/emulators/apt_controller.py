@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import struct
 import threading
 import time
 from collections import deque
@@ -74,7 +75,7 @@ class AptController:
             Id.REQUEST_ENABLED: lambda _: self._say(
                 Id.ENABLED, second=1 if self._flags & Bits.ENABLED else 2
             ),
-            Id.REQUEST_BITS: lambda _: self._say(Id.BITS, apt.StatusBits(self._bits()).pack()),
+            Id.REQUEST_BITS: lambda _: self._say(Id.BITS, struct.pack("<HL", 1, self._bits())),
             Id.REQUEST_STATUS: lambda _: self._say(Id.STATUS, self._status().pack()),
             Id.MOVE_ABSOLUTE: self._move,
             Id.MOVE_HOME: self._home,
@@ -132,7 +133,7 @@ class AptController:
             self._records: dict[int, Any] = {  # by the id of the answer
                 Id.VELOCITY: apt.Velocity(0, acceleration, slow),
                 Id.HOME: apt.Home(2, 1, slow, 0),
-                Id.BACKLASH: apt.Backlash(self._counts(0.1)),
+                Id.BACKLASH: apt.Target(self._counts(0.1)),
                 Id.LIMITS: apt.Limits(3, 3, self._counts(6.0), 0, 3),
                 **records(self._counts_per_mm),
             }
