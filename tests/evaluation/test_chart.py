@@ -217,6 +217,22 @@ def test_a_curve_that_falls_faster_on_one_side_is_followed(photographs: int, sid
     assert np.mean(inside) >= 0.8
 
 
+@pytest.mark.parametrize("photographs", [3, 4, 6, 10])
+def test_the_interval_holds_the_focus_of_a_lens_that_leans_unseen(photographs: int) -> None:
+    """Of 3 and 4 photographs it held none to a tenth, of the errors of MTF50 alone."""
+    rng = np.random.default_rng(40 + photographs)
+    inside = []
+    for _ in range(100):
+        best, place = rng.uniform(-0.4, 0.4), np.linspace(-1.3, 1.3, photographs)
+        lean = rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.4)
+        away = place - best
+        half = 40.0 / np.sqrt(1.0 + away**2 * (1.0 + lean * np.tanh(away)))
+        std = np.full(photographs, 0.12)
+        fit = best_focus(place, half + rng.normal(0.0, std), std)
+        inside.append(fit.low <= best <= fit.high)
+    assert np.mean(inside) >= 0.9
+
+
 @pytest.mark.parametrize(
     ("focus", "mtf50", "message"),
     [
