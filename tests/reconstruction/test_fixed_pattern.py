@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
 from lensshift import Burst, Estimate, QualityWarning, reconstruct
+from lensshift.core.units import distance_to_phase
 from lensshift.reconstruction import told_shifts
 from lensshift.reconstruction.fixed_pattern import LAGS, SMOOTH, _kernels, pattern_power
 from lensshift.reconstruction.learned.pattern import without_pattern
+from lensshift.reconstruction.method import Request
 
 SHAPE, SIGMA = (32, 40), 0.02
 Array = NDArray[np.float64]
@@ -130,7 +132,7 @@ def test_the_picture_is_that_without_the_pattern(
         found, told = reconstructed(with_it, offset_px)
         assert any("pattern of their own" in text for text in told)
         with monkeypatch.context() as patch:
-            patch.setattr(told_shifts, "without_pattern", lambda a, b, *_, **__: (a, b, 0.0, {}))
+            patch.setattr(told_shifts, "without_pattern", lambda a, b, *_, **__: (a, b, {}))
             left_in, _ = reconstructed(with_it, offset_px)
         errors = [(one.image - truth)[4:-4, 4:-4] for one in (found, left_in)]
         share.append(float(np.std(errors[0]) / np.std(errors[1])))
@@ -146,7 +148,7 @@ def test_all_pixels_but_those_cut_off_lose_the_pattern() -> None:
     for cut in (y, np.minimum(y, np.quantile(y, 0.95))):
         burst = Burst.from_arrays(cut, offset_px=offset_px, pitch_mm=0.1)
         with pytest.warns(QualityWarning, match="pattern of their own"):
-            found, _, _, _ = without_pattern(burst, burst, 2)
+            found, _, _ = without_pattern(burst, Request(frames=range(9)), 2)
         at_end = (cut == cut.max()) & (np.count_nonzero(cut == cut.max()) > 1)
         np.testing.assert_array_equal(found.amplitude == cut, at_end)
         assert found.amplitude.max() == cut.max() or not at_end.any()
@@ -160,3 +162,60 @@ def test_frames_that_did_not_move_are_no_pattern(seed: int) -> None:
     _, said = reconstructed(y, offset_px)
     assert any("shifts that did not happen" in one for one in said)
     assert not any("pattern" in one for one in said)
+
+
+def boxes(seed: int, offset_px: Array, hz: float) -> tuple[NDArray[np.complex128], Array]:
+    """Return phasors of boxes before a slanted wall with SNR 200, and distances on finer pixels."""
+    rng, fine = np.random.default_rng(seed), 8
+    rows, cols = ((n + 2) * fine for n in SHAPE)
+    row, col = np.mgrid[:rows, :cols]
+    distance_m, light = 4.0 + 0.4 * col / cols, np.full((rows, cols), 0.4)
+    for _ in range(5):
+        at, half = rng.uniform(0, (rows, cols)), rng.uniform(1.0, 7.0, 2) * fine
+        inside = (np.abs(row - at[0]) < half[0]) & (np.abs(col - at[1]) < half[1])
+        distance_m[inside], light[inside] = rng.uniform(2.0, 3.8), rng.uniform(0.1, 0.8)
+    z, frames = light * np.exp(1j * distance_to_phase(distance_m, hz)), []
+    for r, c in fine - np.rint(offset_px * fine).astype(int):
+        part = z[r : r + SHAPE[0] * fine, c : c + SHAPE[1] * fine]
+        frames.append(part.reshape(SHAPE[0], fine, SHAPE[1], fine).mean(axis=(1, 3)))
+    y = np.array(frames)
+    noise = rng.standard_normal((2, *y.shape)) * np.median(np.abs(y)) / 200
+    inner = distance_m[fine:-fine, fine:-fine].reshape(2 * SHAPE[0], 4, 2 * SHAPE[1], 4)
+    return y + noise[0] + 1j * noise[1], np.median(inner, axis=(1, 3))
+
+
+@pytest.mark.parametrize("kind", ["complex", "polar", "frequencies"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_pattern_of_distances_is_told_and_taken_off(kind: str, seed: int) -> None:
+    """It was in the picture, without a word."""
+    hz = [20e6, 50e6] if kind == "frequencies" else [20e6]
+    offset_m = 0.02 * np.random.default_rng(seed).standard_normal(SHAPE)
+    told = {"offset_px": square(2), "pitch_mm": 0.1, "modulation_hz": hz}
+    errors_m, held = [], []
+    for size in (0.0, 1.0):
+        each = [boxes(seed, square(2), one) for one in hz]
+        turned = np.stack(
+            [
+                z * np.exp(1j * size * distance_to_phase(offset_m, one))
+                for (z, _), one in zip(each, hz, strict=True)
+            ]
+        )
+        if kind == "polar":
+            far_m = np.mod(np.angle(turned[0]), 2 * np.pi) / distance_to_phase(1.0, hz[0])
+            burst = Burst.from_arrays(np.abs(turned[0]), far_m, **told)
+        else:
+            burst = Burst.from_arrays(turned if len(hz) > 1 else turned[0], **told)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", QualityWarning)
+            result = reconstruct(burst, 2)
+        assert ["a pattern of distances of their own" in str(one.message) for one in said] == (
+            [True] if size else []
+        )
+        assert all(one.filename == __file__ for one in said)
+        error_m = np.abs(result["distance"].image - each[0][1])
+        errors_m.append(np.median(error_m))
+        held.append(np.mean(error_m < 2 * np.asarray(result["distance"].std)))
+    assert result.settings["distance_pattern_m"] == pytest.approx(0.02, rel=0.2)
+    assert errors_m[1] < 0.006
+    assert errors_m[0] < errors_m[1]
+    assert min(held) > 0.9

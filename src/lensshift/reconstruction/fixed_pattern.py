@@ -64,7 +64,9 @@ class PatternPower:
         return self.sure > SURE and self.misfit < FITS
 
 
-def pattern_power(frames: Array, valid: Mask, offset_px: Floats) -> PatternPower | None:
+def pattern_power(
+    frames: Array, valid: Mask, offset_px: Floats, *, phases: bool = False
+) -> PatternPower | None:
     """Return how much of frames [frame row col] stays at the pixels, None if they cannot tell.
 
     Parameters
@@ -72,6 +74,7 @@ def pattern_power(frames: Array, valid: Mask, offset_px: Floats) -> PatternPower
     frames : real
     valid : [frame row col]
     offset_px : [frame 2]
+    phases : whether they are phases: of these products of pixels count by their inverse variance
     """
     chosen = np.flatnonzero(valid.any(axis=(1, 2)))
     away_px = np.abs(offset_px[chosen] - np.median(offset_px[chosen], axis=0)).max(axis=1)
@@ -82,7 +85,8 @@ def pattern_power(frames: Array, valid: Mask, offset_px: Floats) -> PatternPower
         return None
     rows, cols = (slice((n - min(n, MOST_PX)) // 2, (n + min(n, MOST_PX)) // 2)
                   for n in frames.shape[1:])  # fmt: skip
-    parts, weight = _covariances(frames[chosen, rows, cols], valid[chosen, rows, cols])
+    there = chosen, rows, cols
+    parts, weight = _covariances(frames[there], valid[there], 1 + phases)
     if not np.all(weight > 0):
         return None
     offset = np.round(offset_px[chosen] - offset_px[chosen[0]], 3)
@@ -127,10 +131,10 @@ def _sure(R: Floats, found: Floats, others: Floats) -> float:
     return over(np.stack([nnls(R, one)[0] for one in others.T], axis=-1))
 
 
-def _covariances(frames: Array, valid: Mask) -> tuple[Floats, Floats]:
+def _covariances(frames: Array, valid: Mask, power: int) -> tuple[Floats, Floats]:
     """Return sums of products [part lag frame frame], and of their weights [part lag 1 1].
 
-    Calm pixels count more: there is less of the scene in them.
+    Calm pixels count more, by this power of their unrest: there is less of the scene in them.
     """
     used = valid.all(axis=0)
     level = median(frames[:, used]) if used.any() else 0.0
@@ -140,7 +144,7 @@ def _covariances(frames: Array, valid: Mask) -> tuple[Floats, Floats]:
     rough = rough[:, 1:-1, 1:-1] * whole
     unrest = uniform_filter(np.mean(rough**2, axis=0), 5)
     usual = median(unrest) or float(unrest.mean())
-    calm = whole / (unrest + usual) if usual > 0.0 else 0.0 * whole  # frames of one value
+    calm = whole / (unrest + usual) ** power if usual > 0.0 else 0.0 * whole  # frames of one value
     ends = [np.linspace(REACH_PX, n - REACH_PX, PARTS + 1).round().astype(int)
             for n in whole.shape]  # fmt: skip
     parts = [(r, c) for r in pairwise(ends[0]) for c in pairwise(ends[1])]

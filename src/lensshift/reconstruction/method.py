@@ -39,6 +39,7 @@ class Request:
     gain : [frequency frame] by which the phasors of the frames were divided, or None
     turn_rad : [frequency frame] by which their phases were turned back, or None
     still_std : deviation of what is left of a fixed pattern of the pixels, in units of the burst
+    still_rad : [frequency] the same of a fixed pattern of their phases, or None
     device : where "auto" finds its pictures, or None for the kernels of this processor
     """
 
@@ -57,6 +58,7 @@ class Request:
     gain: Floats | None = None
     turn_rad: Floats | None = None
     still_std: float = 0.0
+    still_rad: Floats | None = None
     device: Device | None = None
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ residuals evenly; a shift that was not told, something that moved, another gain 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import find_objects, label, maximum, maximum_filter
@@ -106,11 +106,6 @@ class Misfit:
     def contradicts(self) -> bool:
         """Whether the frames contradict in any way."""
         return self.lit or self.shifts_wrong or self.curable
-
-    @property
-    def withdrawn(self) -> Misfit:
-        """The same without contradictions."""
-        return replace(self, doubt=np.minimum(self.doubt, 1.0), off_px={}, brightness=0.0)
 
     @property
     def shifts_wrong(self) -> bool:

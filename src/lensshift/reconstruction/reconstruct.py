@@ -33,11 +33,7 @@ from lensshift.reconstruction.misfit import ESTIMATED, NOT_ENOUGH, what_else
 from lensshift.reconstruction.options import positive
 from lensshift.reconstruction.phasor.channel import reconstruct_phasor
 from lensshift.reconstruction.phasor.choice import Channel, Choice, choose_channel
-from lensshift.reconstruction.photometry import (
-    estimate_photometry,
-    in_one_light,
-    std_of_level,
-)
+from lensshift.reconstruction.photometry import estimate_photometry, in_one_light, std_of_level
 from lensshift.reconstruction.pixel_response import as_seen, told_response, undone
 from lensshift.reconstruction.problem import (
     QUESTIONED_BLUR_PX,

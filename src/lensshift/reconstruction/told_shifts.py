@@ -82,12 +82,18 @@ def held_against_frames(
         return told, request
     look, doubt = _looked_at(part, shift_field, scale)
     mend = mend and shift_field is None and not request.streamed
-    if mend and not (phasors or request.photometric or _stays(doubt)):
-        burst, part, left, said = without_pattern(burst, part, scale, stacklevel=3)
+    # A strong pattern may predict pixels better where they are, but not pass for all of the scene.
+    scene_stays = doubt is not None and (
+        doubt.mistake == TURNING or (doubt.mistake == STILL and doubt.told)
+    )
+    if mend and not (request.photometric or scene_stays):
+        burst, request, said = without_pattern(burst, request, scale, phasors=phasors, stacklevel=3)
         if said:
-            told, request = Told(burst, part, settings=said), replace(request, still_std=left)
+            told = Told(burst, part := burst.select(request.frames), settings=said)
             look, doubt = _looked_at(part, shift_field, scale)
-    if doubt is not None and doubt.named and doubt.mistake != TURNING and _hardly_found(part):
+    known_px = part.offset_sigma_px if part.offset_source == "registered" else None
+    hardly = known_px is not None and known_px.max() > SAID_PX  # were they told by the frames
+    if hardly and doubt is not None and doubt.named and doubt.mistake != TURNING:
         doubt = replace(doubt, mistake=HARDLY_TOLD)
     told = replace(told, doubt=doubt)
     if doubt is not None and doubt.named:
@@ -97,21 +103,6 @@ def held_against_frames(
     if look is None or not mend or not _in_question(part, look):
         return told, request
     return _mended(told, look, request), request
-
-
-def _hardly_found(part: Burst) -> bool:
-    """Return whether the frames told too little of the shifts that were found from them."""
-    known_px = part.offset_sigma_px
-    return part.offset_source == "registered" and known_px is not None and known_px.max() > SAID_PX
-
-
-def _stays(doubt: Doubt | None) -> bool:
-    """Return whether it is the scene itself that stays at the pixels, or turns about them.
-
-    A strong pattern may predict pixels better where they are, but not pass for all of the scene.
-    """
-    mistake = None if doubt is None else (doubt.mistake, doubt.told)
-    return mistake in ((STILL, True), (TURNING, True), (TURNING, False))
 
 
 def _looked_at(

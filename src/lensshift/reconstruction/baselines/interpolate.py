@@ -53,8 +53,7 @@ def bicubic(
     gain = np.stack([part.noise_gain for part in parts if part.noise_gain is not None])
     total = votes.sum(axis=0)
     return Baseline(
-        (votes * stack).sum(axis=0) / total,
-        np.sqrt(((votes * gain) ** 2).sum(axis=0)) / total,
+        (votes * stack).sum(axis=0) / total, np.sqrt(((votes * gain) ** 2).sum(axis=0)) / total
     )
 
 

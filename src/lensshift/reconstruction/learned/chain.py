@@ -85,9 +85,7 @@ class Chain:
     alike: bool = False
 
     def run(
-        self,
-        prior: LearnedPrior,
-        on_stage: Callable[[int, Any], None] | None = None,
+        self, prior: LearnedPrior, on_stage: Callable[[int, Any], None] | None = None
     ) -> tuple[Picture, Single, Single, Any]:
         """Return picture, what is said of its error, the weights, rms of the last step over s."""
         xp = self.on.xp

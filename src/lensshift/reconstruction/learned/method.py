@@ -181,7 +181,7 @@ def _solved_once(problem: Problem, request: Request, asked: Asked) -> tuple[Solu
         found = finished(asked, found, problem.scale, solve)
     misfit = find_misfit(A, found.image, asked.y, noise, problem.scale)
     if misfit.contradicts and tells_little(problem):
-        return found, misfit.withdrawn
+        misfit = replace(misfit, doubt=np.minimum(misfit.doubt, 1.0), off_px={}, brightness=0.0)
     return found, misfit
 
 

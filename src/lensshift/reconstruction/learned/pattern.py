@@ -5,104 +5,129 @@
 
 P the variance of the pattern (`fixed_pattern`), n of how many frames an HR pixel sees each pixel.
 What is left of it is P - var f, as of any best guess, and the standard error of P: what is smooth
-over the pixels cannot be told from the scene.
+over the pixels cannot be told from the scene. Of phasors f is a phase, y exp(-i f), of which frames
+leave arg(y / A x), with noise sigma / |A x|; each frequency has its own.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from lensshift.core.arrays import Floats
+from lensshift.core.arrays import Array, Floats
 from lensshift.core.errors import warn_quality
 from lensshift.core.types import Burst
+from lensshift.core.units import distance_to_phase
 from lensshift.forward.operator import single
 from lensshift.reconstruction.clipping import clipped_pixels
-from lensshift.reconstruction.fixed_pattern import pattern_power
+from lensshift.reconstruction.fixed_pattern import PatternPower, pattern_power
+from lensshift.reconstruction.learned.method import with_shift_errors
 from lensshift.reconstruction.learned.noise import noise_map
 from lensshift.reconstruction.learned.solver import Asked, solve_together
+from lensshift.reconstruction.method import Request
+from lensshift.reconstruction.phasor.common_light import divided
+from lensshift.reconstruction.phasor.frames import phasors_of
 from lensshift.reconstruction.problem import SQUARE_PIXEL_PX, make_blur, make_problem
 
 # A strong pattern passes for a scene between the pixels, and comes off little by little.
 MOST_STEPS = 8
+SAID = (
+    "the pixels have {} of their own that does not move with the scene, of about {} (rms): it is "
+    "taken off as far as the frames tell it, and std holds the {} that may be left; {}. Or the "
+    "scene did not move as offset_px says"
+)
 
 
 def without_pattern(
-    burst: Burst, part: Burst, scale: int, *, stacklevel: int = 2
-) -> tuple[Burst, Burst, float, dict[str, float]]:
-    """Return the frames without their fixed pattern, if they surely have one.
+    burst: Burst, request: Request, scale: int, *, phasors: bool = False, stacklevel: int = 2
+) -> tuple[Burst, Request, dict[str, Any]]:
+    """Return the frames without their fixed pattern, of light or of distances, if surely there.
 
-    Parameters
-    ----------
-    burst, part : the second has the used frames alone, by which the pattern is found
-
-    Returns
-    -------
-    burst, part, left, settings
-        `left` is the standard deviation of what is left of the pattern; settings are what a result
-        should say of it
+    It is found by the used frames, whose numbers the request has. That gets the standard deviation
+    of what is left of it; and the settings of a result say so.
 
     Warns
     -----
     QualityWarning
         Of the pattern.
     """
-    y = part.amplitude
-    power = None if y.dtype.kind == "c" else pattern_power(y, part.valid, part.offset_px)
-    if power is None or not power.certain:
-        return burst, part, 0.0, {}
-    pattern, variance = _taken_off(part, scale, power.variance)
-    variance += power.variance / power.sure  # by as much the frames may have told too little of it
-    size, left = float(np.sqrt(power.variance)), float(np.sqrt(variance))
-    warn_quality(
-        "the pixels have a pattern of their own that does not move with the scene, of about "
-        f"{size:.3g} (rms): it is taken off as far as the frames tell it, and std holds the "
-        f"{left:.2g} that may be left; subtract a dark frame (covered lens), which knows all of "
-        "it. Or the scene did not move as offset_px says",
-        stacklevel + 1,
-    )
-    burst, part = (_less(one, pattern) for one in (burst, part))
-    return burst, part, left, {"fixed_pattern_std": size, "fixed_pattern_left": left}
+    part = burst.select(request.frames)
+    if not phasors and part.amplitude.dtype.kind == "c":
+        return burst, request, {}
+    every, hz = phasors_of(part) if phasors else (part.amplitude[None], (1.0,))
+    pattern, size, left = np.zeros((len(hz), 1, *part.grid.shape)), *np.zeros((2, len(hz)))
+    for number, y in enumerate(every):
+        shown = np.angle(y * y[part.valid].sum().conj()) if phasors else y
+        power = pattern_power(shown, part.valid, part.offset_px, phases=phasors)
+        if power is not None and power.certain:
+            size[number] = np.sqrt(power.variance)
+            pattern[number, 0], left[number] = _taken_off(part, y, scale, power)
+    if not size.any():
+        return burst, request, {}
+    if not phasors:
+        cure = "subtract a dark frame (covered lens), which knows all of it"
+        of = "a pattern", f"{size[0]:.3g}", f"{left[0]:.2g}", cure
+        said = {"fixed_pattern_std": float(size[0]), "fixed_pattern_left": float(left[0])}
+        burst, request = _less(burst, pattern[0, 0]), replace(request, still_std=float(left[0]))
+    else:
+        most = int(np.argmax(size / hz))
+        size_m, left_m = np.array([size[most], left[most]]) / distance_to_phase(1.0, hz[most])
+        cure = "calibrate the distance of each pixel before a flat wall"
+        of = "a pattern of distances", f"{1e3 * size_m:.2g} mm", f"{1e3 * left_m:.2g} mm", cure
+        said = {"distance_pattern_m": float(size_m), "distance_pattern_left_m": float(left_m)}
+        burst, request = divided(burst, np.exp(1j * pattern)), replace(request, still_rad=left)
+    warn_quality(SAID.format(*of), stacklevel + 1)
+    return burst, request, said
 
 
-def _taken_off(part: Burst, scale: int, variance: float) -> tuple[Floats, float]:
-    """Return the pattern [row col] as far as the frames tell it, and the variance of its rest."""
-    pattern, left = np.zeros(part.grid.shape), variance
+def _taken_off(part: Burst, y: Array, scale: int, power: PatternPower) -> tuple[Floats, float]:
+    """Return the pattern [row col] as far as the frames tell it, and the std of its rest."""
+    variance = left = power.variance
+    pattern = np.zeros(part.grid.shape)
     apart_px = np.abs(part.offset_px[:, None] - part.offset_px)
     # So many frames see a place by one pixel, on average, and share its error.
     seen_by = float(np.clip(1.0 - apart_px, 0.0, None).prod(axis=-1).sum(axis=1).mean())
     for _ in range(MOST_STEPS):
-        rest, noise = _unexplained(_less(part, pattern), scale, seen_by * left)
-        least = variance * noise / (variance + noise)
-        found = variance / (variance + noise) * (pattern + rest)
+        waves = y.dtype.kind == "c"
+        less = y * np.exp(-1j * pattern) if waves else _less(part, pattern).amplitude
+        rest, noise = _unexplained(part, less, scale, seen_by * left)
+        share = variance / (variance + noise)
+        found = share * (pattern + rest)
         found -= found.mean()
-        remains = max(variance - float(np.var(found)), least)
+        remains = max(variance - float(np.var(found)), float(np.mean(share * noise)))
         if remains >= left:
             break
         pattern, left = found, remains
-    return pattern, left
+    # By the error of the variance the frames may have told too little of it.
+    return pattern, float(np.sqrt(left + variance / power.sure))
 
 
-def _unexplained(part: Burst, scale: int, extra: float) -> tuple[Floats, float]:
-    """Return what a picture leaves [row col] of the frames on average, and the noise of that.
+def _unexplained(part: Burst, frames: Array, scale: int, extra: float) -> tuple[Floats, Floats]:
+    """Return what a picture leaves of frames on average, of phasors their phases, and its variance.
 
-    Parameters
-    ----------
-    extra : variance that the frames have beside the noise that is read
+    Extra is the variance that these have beside the noise that is read.
     """
     problem = make_problem(
-        part, part.amplitude, scale, blur=make_blur(SQUARE_PIXEL_PX, None), shift_field=None,
+        part, frames, scale, blur=make_blur(SQUARE_PIXEL_PX, None), shift_field=None,
         noise_sigma=None, take_level=True,
     )  # fmt: skip
     law, _, noise = noise_map(problem)
-    unit, A = problem.intensity, problem.model.operator
-    sigma = np.sqrt(noise**2 + extra / unit**2)
-    found = solve_together([Asked(problem.model, problem.y, sigma, SQUARE_PIXEL_PX)])[0]
+    y, unit, A = problem.y, problem.intensity, problem.model.operator
+    waves = y.dtype.kind == "c"
+    sigma = np.sqrt(noise**2 + (extra / 2 * np.abs(y) ** 2 if waves else extra / unit**2))
+    sigma = with_shift_errors(sigma, problem) if waves else sigma
+    found = solve_together([Asked(problem.model, y, sigma, SQUARE_PIXEL_PX)])[0]
+    seen = A.forward(single(found.image))
+    if waves:
+        weight = (problem.weight > 0) * np.abs(seen / with_shift_errors(noise, problem)) ** 2
+        known = np.maximum(weight.sum(axis=0), np.finfo(np.float32).tiny)
+        return np.sum(weight * np.angle(y * seen.conj()), axis=0) / known, 1 / known
     weight = problem.telling_weight
-    rest = np.sum(weight * (problem.y - A.forward(single(found.image))), axis=0)
     count = np.maximum(weight.sum(axis=0), 1.0)
-    return unit * rest / count, float((unit * law.sigma) ** 2 / np.median(count))
+    rest = unit * np.sum(weight * (y - seen), axis=0) / count
+    return rest, np.asarray((unit * law.sigma) ** 2 / np.median(count))
 
 
 def _less(burst: Burst, pattern: Floats) -> Burst:

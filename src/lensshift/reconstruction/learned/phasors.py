@@ -40,10 +40,7 @@ NO_PHASE_RAD = float(np.pi / np.sqrt(3.0))
 
 
 def finished(
-    asked: Asked,
-    found: Solution,
-    scale: int,
-    solve: Callable[[Asked], Solution],
+    asked: Asked, found: Solution, scale: int, solve: Callable[[Asked], Solution]
 ) -> Solution:
     """Return the picture with the means of its frames, phases pooled, and a second opinion of both.
 

@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 from lensshift.core.arrays import Floats
 from lensshift.core.order import median
 from lensshift.forward.model import ForwardModel
-from lensshift.reconstruction.learned.chain import (
-    TINY,
-    Chain,
-    Picture,
-    Single,
-)
+from lensshift.reconstruction.learned.chain import TINY, Chain, Picture, Single
 from lensshift.reconstruction.learned.kernels import COMPILED, Kernels
 from lensshift.reconstruction.learned.network import learned_weights
 from lensshift.reconstruction.learned.priors import BrightnessPrior, LearnedPrior, PhasorPrior
@@ -102,14 +97,7 @@ class Asked:
         model = self.model
         places = [taps.position_hr_px.tobytes() for taps in (model.rows, model.cols)]
         places += [of.tobytes() for of in (model.spot_px2, model.skew_px3) if of is not None]
-        kinds = (
-            self.of_phasors,
-            self.general,
-            self.alike,
-            self.blur_px,
-            model.scale,
-            model.blur,
-        )
+        kinds = (self.of_phasors, self.general, self.alike, self.blur_px, model.scale, model.blur)
         return (self.y.shape, *kinds, *places)
 
     def unit(self) -> tuple[float, complex | float, float]:

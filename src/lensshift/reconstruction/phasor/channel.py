@@ -31,7 +31,7 @@ from lensshift.reconstruction.learned.unseen import LEAST_SEEN, share_seen, with
 from lensshift.reconstruction.method import Request
 from lensshift.reconstruction.misfit import ESTIMATED
 from lensshift.reconstruction.phasor.flying import flying_pixels
-from lensshift.reconstruction.phasor.frames import PolarFrames, polar_frames
+from lensshift.reconstruction.phasor.frames import polar_frames
 from lensshift.reconstruction.phasor.frequencies import Tones, common_distance, doubt_about_phases
 from lensshift.reconstruction.phasor.rounding import Steps
 from lensshift.reconstruction.phasor.turns import nearest_turns, settle_turns
@@ -89,11 +89,13 @@ def reconstruct_phasor(
     each = []
     for number, (z, hz) in enumerate(zip(burst.phasors, burst.frequencies_hz, strict=True)):
         one = replace(burst, amplitude=z, modulation_hz=hz, distance_m=None, phasors=None)
-        gain, turn_rad = (
+        gain, turn_rad, still_rad = (
             None if of_all is None else of_all[number, None]
-            for of_all in (request.gain, request.turn_rad)
+            for of_all in (request.gain, request.turn_rad, request.still_rad)
         )
-        alone = replace(request, std=True, law=None, gain=gain, turn_rad=turn_rad)
+        alone = replace(
+            request, std=True, law=None, gain=gain, turn_rad=turn_rad, still_rad=still_rad
+        )
         each.append(_one_frequency(one, method, alone, seen))
     return _unsure_of_drift(_agreed(burst.frequencies_hz, each, request))
 
@@ -180,12 +182,21 @@ def _one_frequency(
             told = np.hypot(told, steps.shared(problem, sigma))
             if request.gain is not None:
                 told[0] = np.hypot(told[0], std_of_level(np.abs(found.image), gain, 0 * gain))
+            if request.still_rad is not None:
+                told[1] = np.hypot(told[1], request.still_rad[0])
             found = replace(found, uncertainty=np.hypot(told, _of_stray_light(found, problem)))
     else:
         found = _linear(replace(problem, noise_sigma=float(sigma[used].min())), method, request)
     settled, phase_rad = settle_turns(frames, typical * problem.intensity), np.angle(found.image)
     phase_rad = nearest_turns(phase_rad, settled, used, problem.offset_px, problem.scale)
-    _warn_of_turns(frames, settled, used)
+    turned = float(np.mean(np.abs(settled.phase_rad - frames.phase_rad)[used] > np.pi))
+    if turned > TURNED_LIMIT:
+        warn_quality(
+            f"the frames do not agree how often the phase has turned: {100 * turned:.0f} % of the "
+            "pixels, dark ones, took the turns of their surroundings; a dark surface may be whole "
+            "turns off",
+            3,
+        )
     notes = dict(found.notes)
     if "contradiction" in notes:
         notes["contradiction"] = notes["contradiction"].replace(ESTIMATED, DIVIDED)
@@ -251,17 +262,6 @@ def _linear(problem: Problem, method: str, request: Request) -> Estimate:
         return np.stack([of_component, np.minimum(of_phase_rad, NO_PHASE_RAD)])
 
     return replace(estimate, uncertainty=functools.cache(std) if request.std else None)
-
-
-def _warn_of_turns(frames: PolarFrames, settled: PolarFrames, used: Mask) -> None:
-    turned = float(np.mean(np.abs(settled.phase_rad - frames.phase_rad)[used] > np.pi))
-    if turned > TURNED_LIMIT:
-        warn_quality(
-            f"the frames do not agree how often the phase has turned: {100 * turned:.0f} % of the "
-            "pixels, dark ones, took the turns of their surroundings; a dark surface may be whole "
-            "turns off",
-            4,
-        )
 
 
 def _result(

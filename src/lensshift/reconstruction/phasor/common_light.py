@@ -16,7 +16,7 @@ from lensshift.core.units import distance_to_phase, unambiguous_range_m
 from lensshift.forward.differences import image_slopes
 from lensshift.reconstruction.displacement import ALLOWED_SHIFT_PX
 from lensshift.reconstruction.method import Request
-from lensshift.reconstruction.phasor.frames import polar_frames
+from lensshift.reconstruction.phasor.frames import phasors_of, polar_frames
 from lensshift.reconstruction.photometry import LIT, LOW_PASS_PX, MOST_SIGMAS, lights, on_latest
 from lensshift.reconstruction.quantiles import weighted_mad, weighted_median
 from lensshift.registration.light import light_said
@@ -36,10 +36,7 @@ def phasors_in_common(burst: Burst, request: Request, *, stacklevel: int) -> tup
         If light or distances differ.
     """
     part, used = burst.select(request.frames), list(request.frames)
-    hz = part.frequencies_hz
-    if (every := part.phasors) is None:
-        polar = polar_frames(part)
-        every, hz = polar.phasor[None], (polar.scale.modulation_hz,)
+    every, hz = phasors_of(part)
     alone = replace(part, distance_m=None, phasors=None, modulation_hz=None)
     most = int(np.argmax(part.valid.sum(axis=(1, 2))))
     turn_rad = np.stack([phase_drift(replace(alone, amplitude=z), most) for z in every])
@@ -66,11 +63,11 @@ def phasors_in_common(burst: Burst, request: Request, *, stacklevel: int) -> tup
         return burst, request
     factor = np.ones((len(every), burst.frame_count, 1, 1), np.complex128)
     factor[:, used, 0, 0] = np.exp(1j * turn_rad) * gain
-    return _divided(burst, factor), request
+    return divided(burst, factor), request
 
 
-def _divided(burst: Burst, factor: Array) -> Burst:
-    """Return a burst over complex factors [frequency frame 1 1]."""
+def divided(burst: Burst, factor: Array) -> Burst:
+    """Return a burst with phasors over complex factors [frequency frame row col], or 1 of each."""
     highest = 0 if burst.phasors is None else int(np.argmax(burst.frequencies_hz))
     phasors = None if burst.phasors is None else burst.phasors / factor
     if burst.amplitude.dtype.kind == "c":

@@ -103,6 +103,14 @@ class PolarFrames:
         return np.stack([z.real, z.imag])
 
 
+def phasors_of(burst: Burst) -> tuple[Array, tuple[float, ...]]:
+    """Return phasors [frequency frame row col] and their frequencies in Hz, see `polar_frames`."""
+    if burst.phasors is not None:
+        return burst.phasors, burst.frequencies_hz
+    polar = polar_frames(burst)
+    return polar.phasor[None], (polar.scale.modulation_hz,)
+
+
 def polar_frames(burst: Burst) -> PolarFrames:
     """Return amplitude and phase of a burst of complex frames, or of amplitude and distance.
 
