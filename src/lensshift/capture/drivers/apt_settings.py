@@ -13,7 +13,7 @@ Homing = Literal["ask", "if_needed", "always", "never"]
 # the APT protocol since 2022. Older papers round the gear to 67:1, which gives 34304 (0.73 % less).
 Z8_COUNTS_PER_MM = 34554.96
 
-_MOST_MM = 30.0  # no Z8 actuator is longer than 25 mm
+_MOST_MM = 300.0  # the longest stages that speak APT; Z8 actuators go 12 to 25 mm, MTS stages 50
 # Beyond anything that a Z8 does, or anybody waits for: another unit, or a slip of the keys.
 _BOUNDS: dict[str, tuple[float, float]] = {
     "counts_per_mm": (1.0, 1e6), "velocity_mmps": (1e-3, 100.0), "acceleration_mmps2": (1e-3, 1e3),
