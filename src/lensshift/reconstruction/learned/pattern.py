@@ -34,10 +34,15 @@ from lensshift.reconstruction.problem import SQUARE_PIXEL_PX, make_blur, make_pr
 # A strong pattern passes for a scene between the pixels, and comes off little by little.
 MOST_STEPS = 8
 SAID = (
-    "the pixels have {} of their own that does not move with the scene, of about {} (rms): it is "
-    "taken off as far as the frames tell it, and std holds the {} that may be left; {}. Or the "
-    "scene did not move as offset_px says"
+    ", of about {} (rms): it is taken off as far as the frames tell it, and std holds the {} that "
+    "may be left; {}. Or the scene did not move as offset_px says"
 )
+NAMES = (
+    "the pixels have a pattern of their own that does not move with the scene",
+    "the pixels have a pattern of distances of their own that does not move with the scene",
+)
+# Of phases, radians: what single precision leaves of them without noise is far less.
+LEAST_RAD = 1e-5
 
 
 def without_pattern(
@@ -61,24 +66,25 @@ def without_pattern(
     for number, y in enumerate(every):
         shown = np.angle(y * y[part.valid].sum().conj()) if phasors else y
         power = pattern_power(shown, part.valid, part.offset_px, phases=phasors)
-        if power is not None and power.certain:
+        least = LEAST_RAD if phasors else 0.0
+        if power is not None and power.certain and power.variance > least**2:
             size[number] = np.sqrt(power.variance)
             pattern[number, 0], left[number] = _taken_off(part, y, scale, power)
     if not size.any():
         return burst, request, {}
     if not phasors:
         cure = "subtract a dark frame (covered lens), which knows all of it"
-        of = "a pattern", f"{size[0]:.3g}", f"{left[0]:.2g}", cure
+        of = f"{size[0]:.3g}", f"{left[0]:.2g}", cure
         said = {"fixed_pattern_std": float(size[0]), "fixed_pattern_left": float(left[0])}
         burst, request = _less(burst, pattern[0, 0]), replace(request, still_std=float(left[0]))
     else:
         most = int(np.argmax(size / hz))
         size_m, left_m = np.array([size[most], left[most]]) / distance_to_phase(1.0, hz[most])
         cure = "calibrate the distance of each pixel before a flat wall"
-        of = "a pattern of distances", f"{1e3 * size_m:.2g} mm", f"{1e3 * left_m:.2g} mm", cure
+        of = f"{1e3 * size_m:.2g} mm", f"{1e3 * left_m:.2g} mm", cure
         said = {"distance_pattern_m": float(size_m), "distance_pattern_left_m": float(left_m)}
         burst, request = divided(burst, np.exp(1j * pattern)), replace(request, still_rad=left)
-    warn_quality(SAID.format(*of), stacklevel + 1)
+    warn_quality(NAMES[phasors] + SAID.format(*of), stacklevel + 1)
     return burst, request, said
 
 
