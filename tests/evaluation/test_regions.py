@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from scipy.special import ndtr
 
-from lensshift.evaluation.slanted_edge import find_regions
+from lensshift.evaluation.slanted_edge import find_regions, measure_edges
 
 CHARTS = runpy.run_path(str(Path(__file__).resolve().parents[2] / "examples" / "charts.py"))
 
@@ -94,3 +95,36 @@ def test_sides_of_wedges_are_found(radius_px: float, blur_px: float) -> None:
     noise = np.random.default_rng(5).standard_normal(star.shape)
     # Eight sides of each: four of six degrees, four of 39.
     assert len(find_regions(gaussian_filter(star, blur_px) + noise)) == 4 * 8
+
+
+def card(seed: int, ground: float, ghost: float = 0.0) -> NDArray[np.float64]:
+    """Return a slanted edge in the middle of 51 x 90 px, what is beside it 18 px away, and noise.
+
+    An upright step to the ground beside the dark, another one beside the bright; a ghost lies along
+    the edge.
+    """
+    rng, row_px = np.random.default_rng(seed), np.arange(51)[:, None] - 25
+    away_px = np.arange(90) - 45 - 0.12 * row_px
+    image = ndtr(away_px / 0.6) + ghost * ndtr((away_px + 18) / 0.6)
+    image = (
+        image - ground * ndtr((24 - np.arange(90)) / 0.6) - 1.2 * ndtr((np.arange(90) - 72) / 0.6)
+    )
+    return image + rng.normal(0, 0.008, image.shape)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("ground", [0.0, 0.05, 0.15])
+def test_faint_borders_far_beside_an_edge_are_left_out(ground: float, turned: bool) -> None:
+    # Of a Gaussian of 0.6 px across columns, along the normal.
+    truth = np.sqrt(np.log(2.0) / 2.0) / (np.pi * 0.6 * np.cos(np.arctan(0.12)))
+    for seed in range(3):
+        image = card(seed, ground)
+        [edge] = measure_edges(image.T if turned else image)
+        start = edge.region.row_start if turned else edge.region.col_start
+        assert (start > 24) == (ground > 0.0)
+        assert edge.mtf50_lpmm.value == pytest.approx(truth, rel=0.02)
+
+
+def test_a_ghost_far_beside_an_edge_is_its_own() -> None:
+    [edge] = measure_edges(card(0, 0.0, ghost=0.03))
+    assert edge.region.col_start < 24

@@ -29,6 +29,10 @@ _CORNER_AWAY_PX = 2.0  # a ridge so far from its chord has a corner there
 # Beside an edge lie other things where their gradient is this share of its own, or above noise.
 _OTHERS_SHARE = 0.2
 _LOUD = 0.05  # of the lines
+# Fainter things far beside an edge, along most lines as frames and borders are, are left out where
+# enough room is left: a step of so much of the contrast changes the MTF by more. Ghosts lie along
+# the edge. Medians of noise are not so far off.
+_FAINT_SHARE, _FAINT_SIGMAS = 0.01, 5.0
 _LEAST_SHARE = 0.8  # of the variance in a region, but for the noise, that one step must explain
 # ISO 12233 takes edges of 5 degrees; below the first the lines of frames lie, and beyond the second
 # rows and columns see an edge alike.
@@ -178,7 +182,8 @@ def _around(
     slanted &= abs(slope) * (last - first) >= _LEAST_CROSSED_PX
     if not slanted or _off_bend_px(line, place) >= _STRAIGHT_PX:
         return None, 0.0
-    others = max(_OTHERS_SHARE * float(np.median(strength[line, place])), least)
+    own, quiet = float(np.median(strength[line, place])), 1.18 * least / _NOISE_SIGMAS
+    others = max(_OTHERS_SHARE * own, least)
     best, best_px = None, _LEAST_HALF_WIDTH_PX - 1
     # A long slanted edge leaves its rectangle little room; a part has more, as a wedge's wide end.
     for part in _PARTS:
@@ -189,7 +194,8 @@ def _around(
         for k in (2, 1, 3, 0, 4) if spare else (0,):
             low = first + k * spare // 4
             at: Image = np.polyval(bend, np.arange(low, low + length)).astype(np.float64)
-            left, right = _room(strength[low : low + length], at, others)
+            faint = quiet + max(_FAINT_SHARE * own, _FAINT_SIGMAS * quiet / np.sqrt(length))
+            left, right = _room(strength[low : low + length], at, others, faint)
             if min(left, right) > best_px:
                 best_px = min(left, right)
                 start, stop = int(np.floor(at.min())) - left, int(np.ceil(at.max())) + right + 1
@@ -199,7 +205,7 @@ def _around(
     return best, float(np.arctan(slope))
 
 
-def _room(strength: Image, centre: Image, others: float) -> tuple[int, int]:
+def _room(strength: Image, centre: Image, others: float, faint: float) -> tuple[int, int]:
     """Return how far even areas reach to both sides of an edge, from its outermost places."""
     count = strength.shape[1]
     low, high = int(np.floor(centre.min())), int(np.ceil(centre.max()))
@@ -221,5 +227,14 @@ def _room(strength: Image, centre: Image, others: float) -> tuple[int, int]:
         border = (low if side < 0 else count - 1 - high) + high - low
         # Of a rectangle the corner reaches as much farther as the edge slants.
         room = min(free - 2 if beyond.any() else free, border) - (high - low)
-        found.append(min(room, _HALF_WIDTH_PX))
+        room = min(room, _HALF_WIDTH_PX)
+        beside = strength[:, low - room : low][:, ::-1] if side < 0 else strength[:, high + 1 :]
+        upright = np.median(beside[:, : max(room, 0)], axis=0)
+        stands_out = upright > faint
+        # The flank of a blurred edge falls steadily; two pixels are those of the smoothing.
+        first = max(_GOOD_HALF_WIDTH_PX + 2, int(np.argmax(np.append(~stands_out, True))))
+        ghost = float(np.median(np.where(valid, seen, 0.0), axis=0)[first:].max(initial=0.0))
+        if stands_out[first:].any() and upright[first:].max() > ghost:
+            room = first + int(np.argmax(stands_out[first:])) - 2
+        found.append(room)
     return found[0], found[1]
