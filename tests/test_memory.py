@@ -37,10 +37,10 @@ def held():
 warnings.simplefilter("ignore")
 square = [(-0.25, -0.25), (-0.25, 0.25), (0.25, 0.25), (0.25, -0.25)]
 camera, rng = lensshift.stream(square, shape=(6, 9), modulation_hz=15e6), np.random.default_rng(0)
-for step in range(3001):
+for step in range(6001):
     light = (1.5 if step % 500 > 250 else 1.0) + 0.01 * rng.standard_normal((6, 9))
     camera.step(light * np.exp(1j + 0.01j * rng.standard_normal((6, 9))))
-    if step in (1000, 3000):
+    if step in (3000, 6000):
         print(*held())
 """
 
@@ -53,11 +53,12 @@ for step in range(3001):
 def test_a_stream_does_not_grow() -> None:
     """A scene that changes each 250 steps: asked are 2 MB in 4.3 million steps.
 
-    What is held, not what the system gave: the heap goes on settling for thousands of steps.
+    What is held, not what the system gave: the heap goes on settling for thousands of steps. The
+    number of objects settles within 3000, to some ten that come and go.
     """
     done = subprocess.run(
         [sys.executable, "-c", STREAM], capture_output=True, text=True, check=True
     )
     begun, ended = (tuple(map(int, line.split())) for line in done.stdout.splitlines())
-    assert ended[0] - begun[0] < 10_000  # bytes of 2000 steps: no array was kept of each
+    assert ended[0] - begun[0] < 10_000  # bytes of 3000 steps: no array was kept of each
     assert ended[1] - begun[1] < 100  # objects
