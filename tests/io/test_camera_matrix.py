@@ -102,3 +102,11 @@ def test_another_matrix_of_that_name_is_told_and_not_read(tmp_path: Path) -> Non
     with pytest.warns(QualityWarning, match="nothing is done with k"):
         burst = load_image_stack(tmp_path / "a.npz")
     assert burst.intrinsics is None
+
+
+def test_a_depth_named_d_beside_a_camera_matrix_is_no_distortion(tmp_path: Path) -> None:
+    frames = np.random.default_rng(4).normal(10.0, 1.0, (4, 12, 17))
+    np.savez(tmp_path / "a.npz", frames=frames, K=K, d=0.1 * frames)
+    with warnings.catch_warnings(record=True):
+        burst = load_image_stack(tmp_path / "a.npz")
+    assert burst.intrinsics == Pinhole(212.5, 211.0, 87.25, 65.5)

@@ -23,6 +23,7 @@ from lensshift.io.reading import reading
 
 MATRICES = ("camera_matrix", "cameraMatrix", "CameraMatrix", "mtx", "K", "k")
 DISTORTIONS = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "dist", "D", "d")
+_COUNTS = (4, 5, 8, 12, 14)  # numbers of distortion of OpenCV; of other arrays a `d` may be depth
 _NUMBER = r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?"
 # A list in brackets, the data of XML, or a line for each number, behind rows, cols and type.
 _VALUES = rf"(?s:.{{0,200}}?)(\[[-+.\deE,\s\[\]]*\]|<data>[^<]*|(?:\n\s*-\s+{_NUMBER})+)"
@@ -60,7 +61,7 @@ def pinhole_of(fields: Mapping[str, ArrayLike]) -> Pinhole | None:
     name, matrix = next((pair for pair in found if pair[1] is not None), ("", None))
     if matrix is None:
         return None
-    told = next((fields[one] for one in DISTORTIONS if one in fields), ())
+    told = next((fields[one] for one in DISTORTIONS if np.size(fields.get(one, ())) in _COUNTS), ())
     distortion = np.ravel(np.asarray(told, np.float64))
     if np.any(distortion[5:]):
         raise DataError(f"{distortion.size} numbers of distortion; {_CURE}", field=name)
